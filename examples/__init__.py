@@ -1,1 +1,1 @@
-"""Programs that use hapticd as any laboratory may; README.md lists them."""
+"""Programs that use hapticd like any laboratory; README.md lists them."""

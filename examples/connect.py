@@ -1,4 +1,4 @@
-"""What the examples share: to which daemon they talk, or to the virtual board with its hand."""
+"""Shared by the examples: the connection to a daemon, or to the virtual board with its hand."""
 
 import argparse
 
@@ -6,7 +6,7 @@ import hapticd
 
 
 def arguments(description: str) -> argparse.ArgumentParser:
-    """The options of every example."""
+    """Return the parser with the options of every example."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--instance", default="default", metavar="NAME", help="of the daemon")
     parser.add_argument(
@@ -18,14 +18,14 @@ def arguments(description: str) -> argparse.ArgumentParser:
 
 
 def connected(asked: argparse.Namespace, name: str, strict: bool = False) -> hapticd.Client:
-    """The client that was asked for."""
+    """Return the requested client."""
     if asked.virtual:
         return hapticd.virtual_board(hand=True, strict=strict, name=name)
     return hapticd.Client(asked.instance, name=name, strict=strict)
 
 
 def connected_aio(asked: argparse.Namespace, name: str) -> hapticd.AsyncClient:
-    """The same for asyncio."""
+    """Return the requested client for asyncio."""
     if asked.virtual:
         return hapticd.virtual_board(hand=True, name=name).aio()
     return hapticd.AsyncClient(asked.instance, name=name)

@@ -1,7 +1,7 @@
-"""200 simulated trials of 90 s, and the envelope of those that pass: impedance that this display
-can render, drawn to envelope.png.
+"""200 simulated trials of 90 s, and the envelope of those that pass: the impedances that this
+display can render, drawn to envelope.png.
 
-Needs hapticd[fast,plot] and no daemon; takes some seconds.
+Needs hapticd[fast,plot] and no daemon; takes a few seconds.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from hapticd.zwidth.report.style import save
 
 
 def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:
-    """How many passed."""
+    """Return the number of passed trials."""
     # K N/m, B N s/m, M kg
     lowest = (0.0, 0.0, -0.025)
     highest = (1200.0, 9.0, 0.030)

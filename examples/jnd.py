@@ -1,8 +1,8 @@
-"""Just-noticeable difference of stiffness: two springs after each other, which one was stiffer?
+"""Just-noticeable difference of stiffness: two springs in sequence, which one was stiffer?
 
-A staircase of two down, one up goes to the difference that 71 % of the answers find. Every
-presentation is a row of jnd.csv, joined to telemetry by revision and tick. Press the handle,
-answer 1 or 2, and take your time; with --simulated an observer with a just-noticeable difference
+A two-down, one-up staircase converges to the difference that is recognised in 71 % of the trials.
+Every presentation is a row of jnd.csv, joined to telemetry by revision and tick. Press the handle,
+answer 1 or 2, and take your time. With --simulated, an observer with a just-noticeable difference
 of 12 % answers.
 """
 
@@ -21,13 +21,15 @@ JUST_NOTICEABLE = 0.12  # of the simulated observer, at 71 % right
 
 
 def simulated(share: float, random: np.random.Generator) -> bool:
-    """Whether an observer finds a difference of `share`: right by chance in half the cases."""
+    """Return whether an observer recognises a difference of `share`, with a chance level of one
+    half.
+    """
     noticed = 0.5 * (1.0 + erf(0.5545 * share / JUST_NOTICEABLE / sqrt(2.0)))
     return bool(random.random() < noticed)
 
 
 def main(asked: argparse.Namespace, path: Path) -> float:
-    """The just-noticeable difference as a share of the reference."""
+    """Return the just-noticeable difference as a share of the reference."""
     random = np.random.default_rng(1)
     staircase = Staircase(0.5)  # a share of the reference
     reference = Condition("reference", {"K": REFERENCE_N_PER_M})

@@ -1,5 +1,5 @@
-"""A whole protocol of an experiment as one call: a spring, force on, active damping on and off at
-exact times, a stiffer spring, force off; and what became of each step.
+"""A whole protocol of an experiment in one call: a spring, force on, active damping on and off at
+exact times, a stiffer spring, force off; and the result of each step.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from hapticd.client import SequenceError, step
 
 
 def main(asked: argparse.Namespace) -> None:
-    """Each step with its tick and revision, by which recordings are joined to it."""
+    """Print each step with its tick and revision, by which recordings are joined to it."""
     pause_s = asked.pause
     steps = [
         step("set", K=100, B=1),

@@ -1,5 +1,5 @@
-"""A ten-line experiment: shake the device with a 5 Hz force and see how far it moves at several
-stiffnesses. Nobody else changes anything meanwhile, and force goes off if it dies.
+"""A ten-line experiment: drive the device with a 5 Hz force and measure its motion at several
+stiffnesses. No other client can change anything, and force is switched off if the script dies.
 """
 
 import numpy as np

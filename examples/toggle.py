@@ -1,5 +1,5 @@
-"""Switch the active damping on and off while a hand holds a stiff spring, and see what it does to
-the motion: the heart of the paper, live. Asyncio.
+"""Switch the active damping on and off while a hand holds a stiff spring, and measure the effect on
+the motion: the core of the paper, live. Asyncio.
 """
 
 import argparse
@@ -10,7 +10,7 @@ from connect import arguments, connected_aio
 
 
 async def main(asked: argparse.Namespace, seconds: float = 2.0) -> None:
-    """Twice on and off."""
+    """Switch on and off twice."""
     async with (
         connected_aio(asked, "toggle") as device,
         device.lease("environment", at_end="disable"),

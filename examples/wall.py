@@ -1,4 +1,4 @@
-"""A wall at x = 1 mm: find the greatest stiffness that the guard lets pass, with and without active
+"""A wall at x = 1 mm: find the maximum stiffness that the guard permits, with and without active
 damping, and render it.
 """
 
@@ -10,7 +10,7 @@ from hapticd.client import Client, CommandError
 
 
 def greatest(device: Client, damping: float) -> float:
-    """The greatest stiffness [N/m] of the wall, by bisection of what the guard refuses."""
+    """Return the maximum stiffness [N/m] of the wall, by bisection with the guard's refusals."""
     low = 0.0
     high = 5000.0
     device.damping(damping)
@@ -25,12 +25,12 @@ def greatest(device: Client, damping: float) -> float:
 
 
 def main(asked: argparse.Namespace) -> None:
-    """Without and with damping."""
+    """Find and render the wall without and with damping."""
     with (
         connected(asked, "wall", strict=True) as device,
         device.lease("environment", at_end="disable"),
     ):
-        device.set(K=0, B=0, M=0, ramp_s=0)  # at once: force comes on when nothing is rendered
+        device.set(K=0, B=0, M=0, ramp_s=0)  # at once: force on begins without an environment
         device.enable()
         for damping in (0.0, 1.74):
             stiffness = greatest(device, damping)

@@ -1,5 +1,5 @@
-"""Thirty recorded trials with hidden truth: make them, judge them by hapticd, score the verdicts of
-any estimator.
+"""Thirty recorded trials with hidden truth: make them, judge them with hapticd, score the verdicts
+of any estimator.
 
 Exit codes are those of `hapticd`. See docs/trials.md.
 """
@@ -25,7 +25,7 @@ SHORTEST_S, LONGEST_S = 8.0, 300.0
 
 
 def parsed(arguments: Sequence[str]) -> Namespace:
-    """The verb and its options."""
+    """Return the verb and its options."""
     parser = ArgumentParser("python -m examples.trials", description=__doc__, allow_abbrev=False)
     verbs = parser.add_subparsers(dest="verb", required=True)
     making = verbs.add_parser("make", help="simulate the trials: CSV, npz and truth.json")
@@ -47,7 +47,7 @@ def parsed(arguments: Sequence[str]) -> Namespace:
 
 
 def length_s(words: str) -> float:
-    """The length [s] in the text of --seconds."""
+    """Return the length [s] in the text of --seconds."""
     try:
         seconds = float(words)
     except ValueError:
@@ -58,7 +58,7 @@ def length_s(words: str) -> float:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Do what is asked; the exit code."""
+    """Perform the requested verb and return the exit code."""
     asked = parsed(arguments)
     try:
         {"make": made, "judge": judged, "score": shown}[asked.verb](asked)
@@ -81,7 +81,7 @@ def made(asked: Namespace) -> None:
 
 
 def judged(asked: Namespace) -> None:
-    """Print our verdicts."""
+    """Print the verdicts of hapticd."""
     with progress() as tell:
         found = judge(asked.folder, tell)
     print(verdicts_csv(found), end="")

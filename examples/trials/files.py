@@ -1,18 +1,17 @@
-"""The trials as files: what is written of a record, and where the truth lies.
+"""The trials as files: formats of a record, and the place of the truth.
 
 trial-NN.csv.gz   a header line with columns and units, metadata as remarks, a sample a line
 trial-NN.npz      the same columns and metadata as arrays; without times, which the rate gives
-truth.json        what is true of each; the only file that knows it
-LICENSE, README.txt
+truth.json        the truth of each trial; no other file contains it LICENSE, README.txt
 
-Columns are `time_s`, `perturbation_n` (the force of the probe on the device) and
-`velocity_m_per_s` (of the port, its mean over the sample). Their sampling rate is 4 kHz, as the
-paper's was. At 12.288 s (twelve periods of the window's grid) both forms of thirty trials stay
-below 20 MB. The paper took 90 s: estimators have to do with less. Force is rounded to 1 mN and
-velocity to 10 um/s, which is far below what the perturbation causes.
+Columns are `time_s`, `perturbation_n` (the force of the probe on the device) and `velocity_m_per_s`
+(of the port, its mean over the sample). Their sampling rate is 4 kHz, as in the paper. At 12.288 s
+(twelve periods of the window's grid) both forms of thirty trials stay below 20 MB. The paper took
+90 s, so estimators have less data. Force is rounded to 1 mN and velocity to 10 um/s, far below the
+effect of the perturbation.
 
-The same trial gives the same bytes on one machine and one version of numba, numpy and zlib: nothing
-in a file depends on the time or the place where it was made.
+The same trial gives the same bytes on one machine and one version of numba, numpy and zlib: the
+content of a file is independent of the time and the place of its creation.
 
 Limitations: another release of the compiler. Motion with friction is chaotic, so a trial may then
 have another noise of the same kind, and the same truth.
@@ -77,8 +76,8 @@ Licence: CC0 1.0 (LICENSE).
 def make(
     folder: Path, chosen: tuple[TrialSpec, ...], seconds: float = SECONDS, tell: Progress = silent
 ) -> list[Path]:
-    """Write the trials `chosen` of that length [s], their truth and what is said of them; the paths
-    of all files. ConfigError: the folder cannot be written to, or numba is not installed.
+    """Write the trials `chosen` of that length [s], their truth and description; return the paths
+    of all files. ConfigError if the folder is not writable, or numba is not installed.
     """
     steps = Steps(tell, len(chosen))
     try:
@@ -104,7 +103,7 @@ def said(folder: Path, chosen: tuple[TrialSpec, ...]) -> tuple[Path, ...]:
 
 
 def recorded(spec: TrialSpec, seconds: float) -> tuple[Floats, Floats]:
-    """Force [N] and velocity [m/s] (N,) of the trial at 4 kHz, as they are written."""
+    """Return force [N] and velocity [m/s] (N,) of the trial at 4 kHz, as written."""
     found = simulate(
         spec.scene,
         [spec.rendered],
@@ -123,7 +122,7 @@ def recorded(spec: TrialSpec, seconds: float) -> tuple[Floats, Floats]:
 
 
 def write_trial(folder: Path, spec: TrialSpec, force_n: Floats, velocity: Floats) -> list[Path]:
-    """Write force [N] and velocity [m/s] (N,) as CSV and npz; their paths."""
+    """Write force [N] and velocity [m/s] (N,) as CSV and npz; return their paths."""
     values = (RATE_HZ, *spec.environment, spec.active_damping_ns_per_m)
     metadata = dict(zip(METADATA, values, strict=True))
     text, arrays = folder / f"{spec.name}.csv.gz", folder / f"{spec.name}.npz"
@@ -136,7 +135,7 @@ def write_trial(folder: Path, spec: TrialSpec, force_n: Floats, velocity: Floats
 
 
 def csv(metadata: dict[str, float], force_n: Floats, velocity: Floats) -> str:
-    """The columns as text."""
+    """Return the columns as text."""
     out = io.StringIO()
     out.write(f"time_s,{FORCE},{VELOCITY}\n")
     out.writelines(f"# {name} = {value:g}\n" for name, value in metadata.items())

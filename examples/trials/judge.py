@@ -1,8 +1,8 @@
 """The verdicts of hapticd on a folder of trials, from the npz files alone.
 
-They are read as those of any other program are (`hapticd zwidth import`): nothing is known of the
-device, so nothing is predicted, and the loop is called unstable only where the record shows it.
-Band and confidence are those of the verbs, 2 to 500 Hz and 95 %.
+The files are read like those of any other program (`hapticd zwidth import`). The device is unknown,
+so nothing is predicted, and the loop is judged unstable only if the record shows it. Band and
+confidence are those of the verbs, 2 to 500 Hz and 95 %.
 
 A record that hapticd refuses to judge is undecided, without a margin.
 """
@@ -24,8 +24,8 @@ __all__ = ["judge", "verdicts_csv"]
 
 
 def judge(folder: Path, tell: Progress = silent) -> list[GivenVerdict]:
-    """A verdict on each trial of the folder, in the order of their names. ConfigError: a file is
-    missing or broken.
+    """Return a verdict on each trial of the folder, in the order of their names. ConfigError if a
+    file is missing or broken.
     """
     paths = sorted(folder.glob("*.npz"))
     if not paths:
@@ -43,7 +43,7 @@ def judge(folder: Path, tell: Progress = silent) -> list[GivenVerdict]:
 
 
 def verdict_of(path: Path) -> GivenVerdict:
-    """The verdict on one file."""
+    """Return the verdict on one file."""
     record = read_file(path, force=FORCE, velocity=VELOCITY)
     stiffness, virtual_damping, mass, level = metadata_of(path)
     trial = Trial((stiffness, virtual_damping, mass), level, record.seconds)
@@ -56,7 +56,7 @@ def verdict_of(path: Path) -> GivenVerdict:
 
 
 def metadata_of(path: Path) -> list[float]:
-    """K [N/m], B [N s/m], M [kg] and active damping [N s/m] of a file. ConfigError without them."""
+    """Return K [N/m], B [N s/m], M [kg] and active damping [N s/m] of a file; else ConfigError."""
     try:
         with np.load(path) as arrays:
             return [float(arrays[name]) for name in METADATA[1:]]
@@ -67,7 +67,7 @@ def metadata_of(path: Path) -> list[float]:
 
 
 def verdicts_csv(given: Iterable[GivenVerdict]) -> str:
-    """The verdicts as `score` reads them."""
+    """Return the verdicts in the format of `score`."""
     lines = [",".join(COLUMNS)]
     for one in given:
         numbers = (one.margin_ns_per_m, one.low_ns_per_m, one.high_ns_per_m)

@@ -1,25 +1,25 @@
-"""The thirty trials: which device renders what, and what is true of each.
+"""The thirty trials: device, environment, and truth of each.
 
-Of a trial the virtual damping, the mass and the active damping are chosen. Its stiffness is a share
-of the edge, which is the least stiffness that is predicted not to be passive with these. Shares
-within NEAR of 1 are near the edge, on either side. For each device two trials are clearly passive,
-two are near the edge, one is clearly not passive but stable, and one is unstable.
+Virtual damping, mass and active damping of a trial are chosen. Its stiffness is a share of the
+edge, the minimum stiffness predicted not to be passive with these. Shares within NEAR of 1 are near
+the edge, on either side. For each device two trials are clearly passive, two are near the edge, one
+is clearly not passive but stable, and one is unstable.
 
 The truth is that of the exact linear theory of the scene:
 
     unstable      the spectral radius of one tick of the loop is 1 or more, without dry friction
     passive       stable, and Re Z of the recorded channels is above 0 all over BAND_HZ
     not passive   stable, and Re Z is below 0 somewhere in it
-    margin        the least Re Z there [N s/m]; an unstable trial has none
+    margin        the minimum Re Z there [N s/m]; an unstable trial has none
 
-Dry friction is not linear. It counts as its equivalent damping under the perturbation of the trial
+Dry friction is nonlinear. It counts as its equivalent damping under the perturbation of the trial
 (`hapticd.model.linearise`). Re Z of simulated trials of 600 s is within 0.15 N s/m of that, and
 within 0.1 N s/m near the edge. No margin of a device with friction is smaller than 0.1
 (tests/acceptance/test_example_trials.py). Counts of encoder and converter are left out: they add
-noise, and no force that follows the motion.
+noise, but no force that follows the motion.
 
-No answer may depend on whether friction is counted on, stable with it and unstable without. A test
-checks.
+No truth may depend on friction: no trial may be stable with it and unstable without it. A test
+checks this.
 """
 
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ ROUNDED = 1e-9
 DIGITS = 3  # of a stiffness
 SEED = 20081  # of the order of the trials, and of their noise
 SCENES = Path(__file__).parent / "scenes"
-FORCE_GAINS = {"blind": 1.044}  # force of a device over the force that was commanded, where not 1
+FORCE_GAINS = {"blind": 1.044}  # ratio of the force of a device to the commanded force, if not 1
 # by device: share of the edge; B [N s/m], M [kg], active damping [N s/m]
 CHOSEN = {
     "paper": (
@@ -106,7 +106,7 @@ class TrialSpec:
 
     @property
     def rendered(self) -> tuple[float, float, float]:
-        """K, B, M as the device renders them."""
+        """K, B, M as rendered by the device."""
         gain = FORCE_GAINS.get(self.device, 1.0)
         stiffness, virtual_damping, mass = self.environment
         return gain * stiffness, gain * virtual_damping, gain * mass
@@ -129,12 +129,14 @@ def scene_of(device: str) -> Scene:
 
 @cache
 def known(device: str) -> Display:
-    """What is predicted of the device."""
+    """Return the predictions for the device."""
     return display(scene_of(device))
 
 
 def specs() -> tuple[TrialSpec, ...]:
-    """The thirty trials, in the order of their names, which has nothing to do with the devices."""
+    """Return the thirty trials, in the order of their names, which is independent of
+    the devices.
+    """
     found = list(drawn())
     Random(SEED).shuffle(found)
     return tuple(
@@ -144,7 +146,7 @@ def specs() -> tuple[TrialSpec, ...]:
 
 
 def drawn() -> Iterator[TrialSpec]:
-    """The trials of CHOSEN, without name and seed."""
+    """Yield the trials of CHOSEN, without name and seed."""
     for device, chosen in CHOSEN.items():
         gain = FORCE_GAINS.get(device, 1.0)
         for share, virtual_damping, mass, level in chosen:
@@ -155,7 +157,7 @@ def drawn() -> Iterator[TrialSpec]:
 
 
 def truth_of(spec: TrialSpec) -> dict[str, Any]:
-    """What is true of the trial: its entry in truth.json."""
+    """Return the truth of the trial: its entry in truth.json."""
     device = known(spec.device)
     point = np.array([spec.rendered])
     level = spec.active_damping_ns_per_m
@@ -174,7 +176,7 @@ def truth_of(spec: TrialSpec) -> dict[str, Any]:
 
 
 def truth_json(chosen: tuple[TrialSpec, ...]) -> dict[str, Any]:
-    """The content of truth.json."""
+    """Return the content of truth.json."""
     return {
         "band_hz": list(BAND_HZ),
         "trials": {spec.name: truth_of(spec) for spec in chosen},

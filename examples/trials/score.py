@@ -1,17 +1,17 @@
-"""Verdicts of any estimator beside the truth.
+"""Comparison of any estimator's verdicts with the truth.
 
-A verdict is passive, not_passive or undecided. What is unstable is not passive, so not_passive is
-the right answer there. Four things can happen:
+A verdict is passive, not_passive or undecided. An unstable display is not passive, so not_passive
+is the right answer there. There are four outcomes:
 
-    correct               passive or not passive, as the truth has it
-    wrongly passive       the dangerous one: a hand may shake that display
+    correct               passive or not passive, as in the truth
+    wrongly passive       the dangerous one: some hand makes that display unstable
     wrongly not passive   a display that could have been rendered is given away
     undecided             no answer
 
-A margin is the least Re Z over the band [N s/m]. Of trials that are stable, and have one, the error
-is what was given minus the truth. An interval covers where the truth lies in it.
+A margin is the minimum Re Z over the band [N s/m]. For stable trials with a margin, the error is
+the given margin minus the truth. An interval covers if the truth lies in it.
 
-The band of the truth must be the one that was judged.
+The band of the truth must be the judged one.
 """
 
 import csv
@@ -58,8 +58,8 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class GivenVerdict:
-    """What an estimator says of a trial: margin and interval [N s/m], None where it gives none;
-    `where`: file and line of it.
+    """Verdict of an estimator on a trial: margin and interval [N s/m], None if not given; `where`:
+    its file and line.
     """
 
     trial: str
@@ -72,7 +72,7 @@ class GivenVerdict:
 
 @dataclass(frozen=True)
 class TrueAnswer:
-    """What is true of a trial: one of TRUTHS; the margin [N s/m], None where it is unstable."""
+    """Truth of a trial: one of TRUTHS; the margin [N s/m], None if it is unstable."""
 
     truth: str
     margin_ns_per_m: float | None
@@ -81,7 +81,7 @@ class TrueAnswer:
 
 @dataclass(frozen=True)
 class Judgement:
-    """One trial: what was given beside what is true."""
+    """One trial: the given verdict and the truth."""
 
     given: GivenVerdict
     true: TrueAnswer
@@ -98,13 +98,13 @@ class Judgement:
 
     @property
     def error_ns_per_m(self) -> float | None:
-        """Of the margin, None without one."""
+        """Error of the margin, None without one."""
         given, true = self.given.margin_ns_per_m, self.true.margin_ns_per_m
         return None if given is None or true is None else given - true
 
     @property
     def covers(self) -> bool | None:
-        """Whether the interval holds the true margin, None without one of them."""
+        """Whether the interval contains the true margin, None without one of them."""
         low, high, true = (
             self.given.low_ns_per_m,
             self.given.high_ns_per_m,
@@ -115,7 +115,7 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Score:
-    """How an estimator did in a group of trials; nan where no margin was given [N s/m]."""
+    """Score of an estimator in a group of trials; nan if no margin was given [N s/m]."""
 
     trials: str
     number: int
@@ -130,7 +130,7 @@ class Score:
 
 
 def read_truth(path: Path) -> dict[str, TrueAnswer]:
-    """The truth by the names of trials. ConfigError for a file that is none."""
+    """Read the truth by the names of trials. ConfigError for an invalid file."""
     try:
         content = json.loads(regular(path, SETTINGS_BYTES).read_text())
         found = {name: true_answer(one) for name, one in content["trials"].items()}
@@ -143,7 +143,7 @@ def read_truth(path: Path) -> dict[str, TrueAnswer]:
 
 
 def true_answer(kept: Mapping[str, Any]) -> TrueAnswer:
-    """One entry. KeyError, ValueError for one that is not whole."""
+    """Parse one entry. KeyError or ValueError if it is incomplete."""
     if kept["truth"] not in TRUTHS:
         raise ValueError(f"truth {kept['truth']!r}: one of {', '.join(TRUTHS)} was expected")
     margin = kept["margin_n_s_per_m"]
@@ -153,8 +153,8 @@ def true_answer(kept: Mapping[str, Any]) -> TrueAnswer:
 
 
 def read_verdicts(path: Path) -> list[GivenVerdict]:
-    """The verdicts in a CSV file with a header line of COLUMNS, of which the margins may be left
-    out. ConfigError, with the line, for what is no verdict or no number.
+    """Read the verdicts in a CSV file with a header line of COLUMNS, of which the margins may be
+    omitted. ConfigError, with the line, for an invalid verdict or number.
     """
     try:
         lines = regular(path, SETTINGS_BYTES).read_text(encoding="utf-8-sig").splitlines()
@@ -170,7 +170,7 @@ def read_verdicts(path: Path) -> list[GivenVerdict]:
 
 
 def check_columns(path: Path, names: list[str]) -> None:
-    """ConfigError for a header line without what is needed, or with something else."""
+    """Raise ConfigError for a header line with missing or unknown columns."""
     missing = [name for name in COLUMNS[:2] if name not in names]
     unknown = [name for name in names if name not in COLUMNS]
     if missing or unknown:
@@ -182,7 +182,7 @@ def check_columns(path: Path, names: list[str]) -> None:
 
 
 def cells_of(where: str, names: list[str], line: str) -> dict[str, str]:
-    """A line by the names of its columns; ConfigError for more or fewer cells than names."""
+    """Return a line by the names of its columns; ConfigError for more or fewer cells than names."""
     cells = [cell.strip() for cell in next(csv.reader([line]))]
     if len(cells) != len(names):
         raise ConfigError(
@@ -193,7 +193,7 @@ def cells_of(where: str, names: list[str], line: str) -> dict[str, str]:
 
 
 def given_verdict(where: str, cells: Mapping[str, str]) -> GivenVerdict:
-    """One line."""
+    """Parse one line."""
     if cells["verdict"] not in VERDICTS:
         raise ConfigError(
             f"{where}: verdict {cells['verdict']!r}; write one of {', '.join(VERDICTS)}; what is"
@@ -210,7 +210,7 @@ def given_verdict(where: str, cells: Mapping[str, str]) -> GivenVerdict:
 
 
 def number(where: str, name: str, text: str) -> float | None:
-    """A number, None for an empty cell. ConfigError for anything else."""
+    """Parse a number, None for an empty cell. ConfigError for anything else."""
     if not text:
         return None
     try:
@@ -229,8 +229,8 @@ def number(where: str, name: str, text: str) -> float | None:
 
 
 def score(given: Iterable[GivenVerdict], truth: Mapping[str, TrueAnswer]) -> list[Judgement]:
-    """Each trial of the truth beside its verdict. ConfigError for a trial that is unknown, missing
-    or judged twice.
+    """Pair each trial of the truth with its verdict. ConfigError for a trial that is unknown,
+    missing or judged twice.
     """
     said: dict[str, GivenVerdict] = {}
     for one in given:
@@ -253,7 +253,7 @@ def score(given: Iterable[GivenVerdict], truth: Mapping[str, TrueAnswer]) -> lis
 
 
 def groups(judged: list[Judgement]) -> list[Score]:
-    """The scores of all trials, and of each kind."""
+    """Return the scores of all trials, and of each kind."""
     clear = [one for one in judged if not one.true.near_edge]
     kinds = {
         "clearly passive": [one for one in clear if one.true.truth == "passive"],
@@ -266,7 +266,7 @@ def groups(judged: list[Judgement]) -> list[Score]:
 
 
 def scored(name: str, judged: list[Judgement]) -> Score:
-    """The score of some trials."""
+    """Return the score of some trials."""
     outcomes = [one.outcome for one in judged]
     errors = [one.error_ns_per_m for one in judged if one.error_ns_per_m is not None]
     covers = [one.covers for one in judged if one.covers is not None]
@@ -282,7 +282,7 @@ def scored(name: str, judged: list[Judgement]) -> Score:
 
 
 def score_table(judged: list[Judgement]) -> Table:
-    """A line for each group of trials."""
+    """Return a line for each group of trials."""
     return table(
         HEADINGS,
         [
@@ -300,7 +300,7 @@ def score_table(judged: list[Judgement]) -> Table:
 
 
 def score_json(judged: list[Judgement]) -> dict[str, Any]:
-    """Scores by group and trials one by one; None where there is no number."""
+    """Return scores by group and single trials; None for a missing number."""
     return {
         "groups": [
             {
@@ -329,5 +329,5 @@ def score_json(judged: list[Judgement]) -> dict[str, Any]:
 
 
 def plain(value: float) -> float | None:
-    """None for nan."""
+    """Return None for nan."""
     return value if isfinite(value) else None

@@ -31,21 +31,21 @@ INTERRUPTED = 130
 
 
 class Parser(ArgumentParser):
-    """With --json, also says what was mistyped as an object on stdout."""
+    """With --json, also writes a usage error as an object on stdout."""
 
     def __init__(self, as_json: bool) -> None:
         super().__init__("python -m examples.weir2008", description=__doc__, allow_abbrev=False)
         self.as_json = as_json
 
     def error(self, message: str) -> NoReturn:
-        """Exit code 2."""
+        """Exit with code 2."""
         if self.as_json:
             tell_error("usage", message)
         super().error(message)
 
 
 def parsed(arguments: Sequence[str]) -> Namespace:
-    """The options."""
+    """Return the options."""
     parser = Parser("--json" in arguments)
     parser.add_argument(
         "--quick",
@@ -76,7 +76,7 @@ def parsed(arguments: Sequence[str]) -> Namespace:
 
 
 def seed_count(text: str) -> int:
-    """The number in the text of --seeds."""
+    """Return the number in the text of --seeds."""
     try:
         count = int(text)
     except ValueError:
@@ -87,7 +87,7 @@ def seed_count(text: str) -> int:
 
 
 def figure_width_mm(text: str) -> float:
-    """The width [mm] in the text of --figure-width."""
+    """Return the width [mm] in the text of --figure-width."""
     try:
         return width_mm(text)
     except ConfigError as error:
@@ -95,7 +95,7 @@ def figure_width_mm(text: str) -> float:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Reproduce the paper; the exit code."""
+    """Reproduce the paper and return the exit code."""
     asked = parsed(arguments)
     try:
         reproduce(asked)
@@ -130,7 +130,7 @@ def reproduce(asked: Namespace) -> None:
 
 
 def sections(asked: Namespace, tell: Progress) -> list[page.Section]:
-    """All sections of the report."""
+    """Return all sections of the report."""
     paper = run.plan_reproduce(asked.quick, asked.seeds)
     beyond = future_work.plan_future_work(asked.quick)
     return [
@@ -140,7 +140,7 @@ def sections(asked: Namespace, tell: Progress) -> list[page.Section]:
 
 
 def summary(asked: Namespace, found: list[page.Section]) -> dict[str, Any]:
-    """The content of table.json."""
+    """Return the content of table.json."""
     return {
         "quick": asked.quick,
         "seeds": 0 if asked.quick else asked.seeds,
@@ -150,7 +150,7 @@ def summary(asked: Namespace, found: list[page.Section]) -> dict[str, Any]:
 
 
 def folder(out: Path | None) -> Path:
-    """Where results are kept."""
+    """Return the folder of the results."""
     return out or Path("zwidth-runs") / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-reproduce"
 
 
@@ -158,15 +158,15 @@ def folder(out: Path | None) -> Path:
 
 
 def tell_error(code: str, message: str) -> None:
-    """An error as an object on stdout, as every verb of `hapticd` writes it."""
+    """Print an error as an object on stdout, like every verb of `hapticd`."""
     error = {"code": code, "message": message, "detail": None}
     print(json.dumps({"ok": False, "error": error}), flush=True)
 
 
 @contextmanager
 def watched() -> Iterator[Progress]:
-    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent for
-    minutes.
+    """Show a progress bar; if stderr is not a terminal, a line every ten seconds, so that no log is
+    silent for minutes.
     """
     if not sys.stderr.isatty():
         yield lines()
@@ -176,7 +176,7 @@ def watched() -> Iterator[Progress]:
 
 
 def lines() -> Progress:
-    """Progress as a line on stderr, at most one in ten seconds."""
+    """Return a function that prints progress as a line on stderr, at most one in ten seconds."""
     last_s = -inf
 
     def tell(what: str, done: int, total: int) -> None:

@@ -4,13 +4,13 @@
     Figs. 3, 8 and 11     envelope_figure: envelopes without and with active damping, and both
     Figs. 4 and 7         single_figure: |Z| and phase of single trials
     Figs. 9 and 10        passive_figure: the passive set on the paper's grid
-    limits                limits_figure: the six limits beside the paper's (ours, not the paper's)
+    limits                limits_figure: the six limits compared with the paper's (ours)
     band_edge             edges_figure: K limits over the lower edge of the judged band (ours)
 
-`page` gives each its number, caption and file name. Envelopes and impedances are drawn as those of
-every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles.
-Colours and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`. A
-bracket at the foot spans the frequencies that a number was averaged over.
+`page` gives each its number, caption and file name. Envelopes and impedances are drawn like those
+of every device (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles. Colours
+and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`. A bracket
+at the bottom spans the frequencies of an average.
 
 Envelopes must be compared on axes of one range; IMPEDANCE_RANGE is one for all of them.
 """
@@ -62,10 +62,10 @@ from hapticd.zwidth.report.trial import draw, dress, interval
 
 STYLES = tuple(level_styles(LEVELS))
 LABELS = tuple(level_label(level) for level in LEVELS)
-TRUSTED_HZ = (2.0, 500.0)  # outside it nothing is judged
-IMPEDANCE_RANGE = (0.08, 200.0)  # |Z| in N s/m, the same for all envelopes that are compared
+TRUSTED_HZ = (2.0, 500.0)  # not judged outside
+IMPEDANCE_RANGE = (0.08, 200.0)  # |Z| in N s/m, the same for all compared envelopes
 TICKS = (-100, -50, -20, -8, 0, 8, 20, 50, 100, 500)  # %
-# places of marks, in distances between two limits
+# positions of marks, in distances between two limits
 BESIDE = 0.24
 BESIDE_GUESS = 0.08
 TRIALS = ((FIG_4, "*", "Fig. 4: K = 100 N/m"), (FIG_7, "D", "Fig. 7: K = 50 N/m"))
@@ -73,14 +73,14 @@ COLOURED: Look = {
     "cmap": "viridis",
     "vmin": 0,
     "vmax": len(AXES[0]) - 1,
-}  # by the place of K on the grid
-COLOURED_IN = 2.2  # of a panel and its bar of colours
+}  # by the index of K on the grid
+COLOURED_IN = 2.2  # of a panel and its colour bar
 SPACE = {"space": {"projection": "3d"}}
 PREDICTED_HZ = np.geomspace(*SHOWN_HZ, 400)
 
 
 def _subtitle(result: ReproduceResult) -> str:
-    """The line below a title: the device, and how the numbers were found."""
+    """Return the line below a title: the device, and the method."""
     return simulated(MAIN, SECONDS if result.plan.seeds else 0.0)
 
 
@@ -93,10 +93,10 @@ def single_figure(
     title: str,
     width_mm: float | None = None,
 ) -> Figure:
-    """|Z| and phase of single trials of the first seed, dotted what is predicted.
+    """Draw |Z| and phase of single trials of the first seed, with the prediction dotted.
 
-    The prediction stands alone where there was no trial; of two places, the phase that the second
-    gains over the first.
+    Without a trial only the prediction is drawn. For two places, also the phase advantage of the
+    second over the first.
     """
     panels: Look = {"width_mm": width_mm, "sharex": True, "height_ratios": (3.0, 2.4)}
     whole = f"{title}\n{_subtitle(result)}"
@@ -141,8 +141,8 @@ def envelope_figure(
     title: str,
     width_mm: float | None = None,
 ) -> Figure:
-    """|Z| and phase envelopes of damping levels, with the owners' strips; of active damping alone
-    with the paper's peak.
+    """Draw |Z| and phase envelopes of damping levels, with the owners' strips; for active damping
+    alone with the paper's peak.
     """
     shown = [drawn(result, place) for place in places]
     whole = f"{title}\n{_subtitle(result)}"
@@ -156,7 +156,7 @@ def envelope_figure(
 
 
 def drawn(result: ReproduceResult, place: int) -> Drawn:
-    """The envelope of one damping level, 0 or 1, with its prediction where it was made by
+    """Return the envelope of one damping level, 0 or 1, with its prediction if it was made by
     trials.
     """
     found = result.found[place]
@@ -185,8 +185,8 @@ def _peak(axis: Axes, peak: Peak) -> None:
 
 
 def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
-    """A bracket at that share of the height of the axes under the frequencies that are averaged,
-    where their range shows them.
+    """Draw a bracket at a share of the axes' height under the averaged frequencies, as far as their
+    range shows them.
     """
     low, high = axis.get_xlim()
     ends = max(low, band_hz[0]), min(high, band_hz[1])
@@ -200,8 +200,8 @@ def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03)
 
 
 def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
-    """Ours over the paper's in percent, for each limit and device, with the scatter between seeds;
-    a full mark at -100 % where nothing is passive.
+    """Draw our limits relative to the paper's in percent, for each limit and device, with the
+    scatter between seeds; a full mark at -100 % means that nothing is passive.
     """
     seeds = (
         f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
@@ -242,8 +242,8 @@ def _labelled(name: str) -> str:
 
 
 def edges_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
-    """K limits over the lower edge of the judged band, 0 where none is passive: they separate a lag
-    in the force path from a high-pass in the probe.
+    """Draw K limits over the lower edge of the judged band, 0 if none is passive: they separate a
+    lag in the force path from a high-pass in the probe.
     """
     seeds = (
         f"; bars: one sd over {min(len(result.plan.seeds), EDGE_SEEDS)} seeds"
@@ -282,7 +282,7 @@ def edges_figure(result: ReproduceResult, width_mm: float | None = None) -> Figu
 
 
 def passive_figure(found: GridResult, title: str, width_mm: float | None = None) -> Figure:
-    """The passive set in three dimensions, and the largest K over B and M as a colour."""
+    """Draw the passive set in three dimensions, and the largest K over B and M as a colour."""
     count = int(found.passive.sum())
     how = (
         f"{found.undecided} not certain at 95 %, {found.trials} trials"
@@ -323,7 +323,7 @@ def _space(axis: Any, found: GridResult) -> None:
     )
     axis.set_xlabel("M (g)", labelpad=-4)
     axis.set_ylabel("B (N s/m)", labelpad=-4)
-    axis.set_title("K (N/m) upwards")  # a label beside the axis would lie on the next panel's
+    axis.set_title("K (N/m) upwards")  # a label next to the axis would lie on the next panel's
     axis.tick_params(labelsize="small", pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
@@ -331,8 +331,8 @@ def _space(axis: Any, found: GridResult) -> None:
 
 
 def _flat(axis: Axes, found: GridResult) -> Any:
-    """The largest passive K, and where the single trials lie; the ends at which the grid is smaller
-    than the set. K and B end at 0 by definition.
+    """Draw the largest passive K, and the places of the single trials; return the ends at which the
+    grid is smaller than the set. K and B end at 0 by definition.
     """
     rank = np.where(found.passive, np.arange(len(AXES[0]))[:, None, None], -1).max(axis=0)
     shown = np.ma.masked_less(rank, 0)

@@ -1,14 +1,14 @@
-"""Figures of what the paper left for future work.
+"""Figures of the paper's future work.
 
     beyond_lower_edge    edge_figure: negative virtual damping and the lower edge of the Z-width
-    beyond_free_motion   free_figure: |Z| where no stiffness is rendered
+    beyond_free_motion   free_figure: |Z| without a rendered stiffness
     beyond_shaped        shape_figure: limits, free motion and envelope over a corner frequency
     beyond_levels        levels_figure: limits, passive set and free motion over active damping
     beyond_search        passive_set.search_figure of `report`: directed search
 
-Bands and bars are 95 % intervals of the mean over seeds, by Student's t. The bracket at the foot
-spans the frequencies of the means in dB. A strip below an envelope says which part of the lower
-edge's owner weighs most at that frequency. All figures are drawn within `styled`.
+Bands and bars are 95 % intervals of the mean over seeds, by Student's t. The bracket at the bottom
+spans the frequencies of the means in dB. A strip below an envelope shows the dominant parameter of
+the lower edge's owner at that frequency. All figures are drawn within `styled`.
 
 A result without seeds has no intervals, and the title then shows that all is predicted.
 """
@@ -81,23 +81,21 @@ PROBABILITY = 0.975  # each side of an interval of 95 %
 
 
 def _subtitle(result: FutureWorkResult, more: str = "") -> str:
-    """The line below a title: the device, how the numbers were found, how many seeds stand behind
-    each of them.
-    """
+    """Return the line below a title: the device, the method, and the number of seeds."""
     seeds = result.plan.seeds
     count = f", {len(seeds)} seeds" if seeds else ""
     return f"{simulated(MAIN, SECONDS if seeds else 0.0, more)}{count}"
 
 
 def mean_interval(count: int) -> float:
-    """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
+    """Return half of the 95 % interval of a mean of `count` values, over their standard deviation:
     Student's t; 0 for a single one.
     """
     return student_quantile(PROBABILITY, count - 1) / sqrt(count) if count > 1 else 0.0
 
 
 def _ends(axis: Axes) -> None:
-    """Axes of |Z| over the frequencies of all trials here."""
+    """Set axes of |Z| over the frequencies of all trials here."""
     f = shown_hz()
     hertz_axis(axis, float(f[0]), float(f[-1]))
     plain_axis(axis.yaxis)
@@ -111,7 +109,7 @@ def _by_trials(
     look: Look = DISC,
     label: str | None = BY_TRIALS,
 ) -> None:
-    """The mean of each of `runs` (seeds,), times `scale`, with its interval at `x`; nothing
+    """Draw the mean of each of `runs` (seeds,), times `scale`, with its interval at `x`; nothing
     without trials.
     """
     known = [mean_sd(each) for each in runs if len(each)]
@@ -128,8 +126,8 @@ def _by_trials(
 
 
 def edge_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
-    """Envelopes without and with active damping and with B < 0, by the paper's rule and without
-    counting on friction, with the owners of their lower edges.
+    """Draw envelopes without and with active damping and with B < 0, by the paper's rule and
+    without friction, with the owners of their lower edges.
     """
     title = f"Negative virtual damping and the lower edge of the Z-width\n{_subtitle(result)}"
     heights = (3.4, 0.3, 0.3, 0.3)
@@ -168,7 +166,7 @@ def edge_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figu
 def _lines(
     axis: Axes, bounds: Sequence[Bounds], styles: Sequence[tuple[Look, str]], seeds: int
 ) -> None:
-    """Both edges, the lower one heavier."""
+    """Draw both edges, the lower one heavier."""
     for found, (look, words) in zip(bounds, styles, strict=True):
         _line(
             axis,
@@ -189,8 +187,8 @@ def _line(
     look: Look,
     words: str | None = None,
 ) -> None:
-    """|Z| over `shown_hz()` with the interval of its mean over seeds; dotted what was predicted
-    of it.
+    """Draw |Z| over `shown_hz()` with the interval of its mean over seeds, and its prediction
+    dotted.
     """
     axis.set_yscale("log")
     draw_band(axis, shown_hz(), size.value, mean_interval(seeds) * size.sd, look, words)
@@ -199,7 +197,7 @@ def _line(
 
 
 def free_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
-    """|Z| over frequency where no stiffness is rendered, for each way of making that lighter."""
+    """Draw |Z| over frequency without a rendered stiffness, for each way of making that lighter."""
     title = f"Free motion: passive for any input, friction not counted\n{_subtitle(result)}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title, width_mm=width_mm)
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
@@ -232,7 +230,7 @@ def _rendered(motion: Motion) -> str:
 
 
 def shape_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
-    """Limits, free motion and envelope over the corner frequency of the active damping."""
+    """Draw limits, free motion and envelope over the corner frequency of the active damping."""
     shaped = result.shaped
     title = (
         f"Frequency-shaped active damping, {shaped.level:g} N"
@@ -269,7 +267,7 @@ def shape_figure(result: FutureWorkResult, width_mm: float | None = None) -> Fig
 
 
 def _shares(axis: Axes, shaped: ShapedResult, corners: tuple[Corner, ...], words: str) -> None:
-    """Limits in percent of those without a corner; dashed those without active damping."""
+    """Draw limits in percent of those without a corner; those without active damping dashed."""
     at = [corner.corner_hz for corner in corners]
     for place, (name, _, _, look) in enumerate(LIMITS):
         scale = 100.0 / shaped.plain.limits[place]
@@ -314,7 +312,7 @@ def _free(axis: Axes, shaped: ShapedResult) -> None:
 
 
 def levels_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
-    """Limits, volume of the passive set and free motion over active damping."""
+    """Draw limits, volume of the passive set and free motion over active damping."""
     levels = result.levels
     how = _subtitle(result, "lines predicted, marks ")
     figure, grid = axes(
@@ -348,7 +346,7 @@ def levels_figure(result: FutureWorkResult, width_mm: float | None = None) -> Fi
 
 
 def _volume(axis: Axes, result: FutureWorkResult) -> list[Any]:
-    """Draw both; the handles of their legend."""
+    """Draw both, and return the handles of their legend."""
     levels = result.levels
     beside = axis.twinx()
     growth = levels.volume / levels.volume[0]

@@ -1,13 +1,13 @@
-"""What the paper left for future work: a section of REPORT.md for each part, with its rows, its
-words and its figure. The words stand in `rows.toml`; here are their numbers.
+"""The paper's future work: a section of REPORT.md for each part, with its rows, its text and its
+figure. The texts are in `rows.toml`, their numbers here.
 
 lower_bound_*   mean |Z| of the envelope's lower edge over ln f in 2-20 Hz, dB re 1 N s/m
 zwidth_*        mean distance of its edges there, dB
 free_motion_*   mean |Z| without K there, dB re 1 N s/m
-*_safe          passive without counting on friction, so at any amplitude; the others at the
-                perturbation of the trials
+*_safe          passive without friction, so at any amplitude; the others at the perturbation of the
+                trials
 
-The paper has nothing to compare these rows with.
+The paper has no values to compare with these rows.
 """
 
 from collections.abc import Mapping
@@ -39,14 +39,16 @@ from hapticd.zwidth.report.passive_set import search_figure
 
 __all__ = ["future_sections"]
 
-NO_RUNS = np.empty(0)  # values by trials: there are none
+NO_RUNS = np.empty(0)  # no values by trials
 LITTLE = 0.5  # of the growth before; below it a limit saturates
 
-Facts = dict[str, Any]  # numbers of the words of a section
+Facts = dict[str, Any]  # numbers for the text of a section
 
 
 def future_sections(result: FutureWorkResult) -> tuple[Section, ...]:
-    """Lower edge, free motion, shaped damping, levels; directed search where it was made."""
+    """Return lower edge, free motion, shaped damping, levels, and directed search if it
+    was made.
+    """
     searches = [found.found for found in result.searches]
     made = {
         "lower_edge": (*_lower_edge(result), partial(edge_figure, result)),
@@ -74,13 +76,13 @@ def _by_seed(
     case: str = "always",
     facts: Mapping[str, Any] | None = None,
 ) -> Measured:
-    """A quantity by trials of each seed, or as predicted where there are none."""
+    """Return a quantity by trials of each seed, or its prediction if there are none."""
     ours, sd = mean_sd(runs) if len(runs) else (predicted, nan)
     return Measured(ours, sd, len(runs), predicted, case, facts=facts or {})
 
 
 def restored(result: FutureWorkResult, kind: str = "") -> Floats:
-    """How much of what active damping raised the lower edge by is taken back [%] (seeds,);
+    """Return how much of the rise of the lower edge by active damping is removed [%] (seeds,);
     `kind` "" or "_safe".
     """
     off, on, negative = (
@@ -222,7 +224,7 @@ def _search(result: FutureWorkResult) -> tuple[Facts, Found]:
 
 
 def _checked(found: SearchCheck) -> Found:
-    """Quantities of the search at one active damping, without its mode."""
+    """Return the quantities of the search at one active damping, without its mode."""
     budgets = ", ".join(map(str, found.searched))
     facts = {"found": found, "budgets": budgets, "most": max(found.searched)}
     case = "enough" if found.enough else "too_few"

@@ -1,50 +1,49 @@
-"""What Weir, Colgate and Peshkin (2008, section 6) left for future work, on the calibrated device.
+"""The future work of Weir, Colgate and Peshkin (2008, section 6), on the calibrated device.
 
-Everything is predicted first; trials of 90 s, with every seed, confirm what is shown. With `quick`
-nothing is confirmed.
+Everything is predicted first; trials of 90 s, with every seed, confirm the shown results. `quick`
+omits the confirmation.
 
 Envelopes. "Future work will address adding negative virtual damping to counteract the additional
 physical damping in the system and shift the lower impedance boundary back toward the original
-undamped boundary". Virtual damping passes through filter, delay and hold, so B < 0 cancels at low
-frequency only, while the circuit's damping goes on to act at high frequency, where it is needed.
+undamped boundary". Virtual damping passes through filter, delay and hold. So B < 0 cancels only at
+low frequency, while the circuit's damping continues to act at high frequency, where it is needed.
 The grid is that of the paper's search, with rows of B < 0 added in the same steps. The lower edge
-is where something cancels, M < 0 the mass or K a mass against a spring, so it lies at the edge of
-passivity and sinks as a grid gets finer: envelopes are compared on one grid only. An environment
-that owns a point of an edge is tried with every seed; where it fails with any, it is excluded and
-the next owner is tried, until all owners have passed. Owners are chosen by prediction, not by their
-own noise, so their mean over seeds is not biased.
+lies where something cancels: M < 0 the mass, or K a mass against a spring. So it is at the edge of
+passivity and falls as a grid gets finer: envelopes are compared on one grid only. An environment
+that owns a point of an edge is tried with every seed. If it fails with any, it is excluded and the
+next owner is tried, until all owners have passed. Owners are chosen by prediction, not by their own
+noise, so their mean over seeds is not biased.
 
-Free motion. K = 0, so nothing resonates and no grid matters: |Z| is damping, mass, and what
-negative virtual damping takes away. The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) = -|B| +
-jw |B| t, some 14 g with the 1.74 N s/m of the paper, so B < 0 alone restores the damping and not
-the motion; M < 0 beside it does. Two limits are not the same. At the perturbation of the trials dry
-friction carries a part of B < 0; it fades as the motion grows, until the device runs away.
-`lightest_safe` therefore asks for the lifted theorem of Colgate and Schenkel as well, without
-friction, for every input. The best safe (B, M) has the least mean |Z| in dB over 2-20 Hz.
+Free motion. K = 0, so there is no resonance and the grid is irrelevant: |Z| is damping, mass, and
+the reduction by negative virtual damping. The law's lag t turns B < 0 into a mass, -|B| e^(-jwt) =
+-|B| + jw |B| t, about 14 g with the 1.74 N s/m of the paper. So B < 0 alone restores the damping
+but not the motion; M < 0 in addition does. Two limits differ. At the perturbation of the trials dry
+friction carries a part of B < 0; this fades as the motion grows, until the device runs away.
+`lightest_safe` therefore also requires the lifted theorem of Colgate and Schenkel, without
+friction, for every input. The best safe (B, M) has the minimum mean |Z| in dB over 2-20 Hz.
 
 Shaped damping. "Future work could address a frequency dependent active damping, since added
-mechanical dissipation is rarely needed at low frequency". A high-pass takes the dissipation out of
-slow motion, leaves a mass b / w_l there, and damps where filtered B and M need it. K is another
-matter: a sampled spring alone needs b > K t at every frequency, down to 0, t being half a period
-and the lag of the loop (Colgate and Schenkel 1997 for T / 2), so a corner costs stiffness on any
-device; virtual B beside it gives slow motion its dissipation back. A low-pass does the opposite.
-The best high-pass is the one with the lightest free motion among those that keep the limits of B
-and M within `KEPT`.
+mechanical dissipation is rarely needed at low frequency". A high-pass removes the dissipation from
+slow motion, leaves a mass b / w_l there, and damps where filtered B and M need it. K differs: a
+sampled spring alone needs b > K t at every frequency, down to 0, t being half a period and the lag
+of the loop (Colgate and Schenkel 1997 for T / 2). So a corner costs stiffness on any device;
+virtual B in addition restores the dissipation of slow motion. A low-pass does the opposite. The
+best high-pass has the lightest free motion among those that keep the limits of B and M within
+`KEPT`.
 
-Levels. The paper measured with 1.74 N s/m and without; how do the limits grow between these levels
-and above them? For each level: the three axis limits, the volume of the passive set, and free
-motion, by prediction; a few levels are confirmed by trials. The set is looked at on a grid that
-grows with the limits, B >= 0, so that its volume does not depend on where the grid ends.
+Levels. The paper measured with 1.74 N s/m and without. Here limits are computed between and above
+these levels: the three axis limits, the volume of the passive set, and free motion, by prediction.
+A few levels are confirmed by trials. The set is evaluated on a grid that grows with the limits, B
+>= 0, so that its volume does not depend on the ends of the grid.
 
-Searches. The directed search against the grid that it replaces: a grid of 2,002 environments is
-tried twice, all of it, with unlike noise. The first is the reference; how the second differs from
-it is what one grid can know of the boundary, the floor. The search has noise of its own. A point is
-wrong where the search, or the prediction alone, answers otherwise than the reference; shares are of
-the passive points.
+Searches. The directed search is compared with the grid that it replaces: a grid of 2,002
+environments is tried twice completely, with different noise. The first is the reference; the
+difference of the second is the floor, the accuracy of one grid at the boundary. The search has its
+own noise. A point is wrong where the search, or the prediction alone, differs from the reference;
+shares are relative to the passive points.
 
-Limitations: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`model.theorem` refuses it);
-a level at which the damping circuit itself oscillates (`model.stability`), or one that no board can
-command.
+Limitations: Eq. 2 of the paper for B < 0, where it relaxes (`model.theorem` refuses it); a level at
+which the damping circuit itself oscillates (`model.stability`), or one that no board can command.
 """
 
 from dataclasses import dataclass, field, replace
@@ -78,18 +77,18 @@ from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = ["plan_future_work", "run_future_work"]
 
-SEEDS = 3  # noise realisations behind everything that is shown
+SEEDS = 3  # noise realisations for every shown result
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
 SHOWN_HZ = (2.0, 200.0)  # of every figure here
-# Above 20 Hz the mass of 8 g outweighs the undamped device's damping: there |Z| is w m, whatever
-# is rendered.
+# Above 20 Hz the mass of 8 g outweighs the undamped device's damping: there |Z| is w m, for any
+# environment.
 LOW_HZ = (2.0, 20.0)
 NEGATIVE_STEPS = 8  # rows of B < 0
 STEP = float(AXES[1][1] - AXES[1][0])
 GRID = grid((AXES[0], np.concatenate((-STEP * np.arange(NEGATIVE_STEPS, 0, -1), AXES[1])), AXES[2]))
 ROUNDS = 40  # of trials of new owners, at most
 FURTHEST = -12.0  # N s/m, of a predicted search of B
-DAMPINGS = 41  # values of B that are looked at
+DAMPINGS = 41  # values of B evaluated
 MASSES = 25  # and of M
 HIGHPASS_HZ = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0, 30.0, 50.0, 100.0)
 LOWPASS_HZ = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
@@ -97,8 +96,8 @@ KEPT = 0.05  # share of the limits of B and M that a corner may cost
 HIGHEST = 10.0  # N s/m: full scale of the damping scale factor on the simulated board
 DAMPING_LEVELS = (0.0, 0.25, 0.5, 0.87, 1.25, 1.74, 2.25, 2.75, 3.48, 4.5, 6.0, 8.0, HIGHEST)
 TRIED_LEVELS = (0.87, 1.74, 3.48, 8.0)  # N s/m: half, once and twice the paper's, and far above
-ROOM = (5.0, 1.3, 1.3)  # of the grid, in axis limits of K, B and M; K grows with B and M beside it
-HEAVIEST = 2.6  # M > 0, in limits of M < 0 and the device's own mass beside it
+ROOM = (5.0, 1.3, 1.3)  # of the grid, in axis limits of K, B and M; K grows with B and M
+HEAVIEST = 2.6  # M > 0, in limits of M < 0, plus the device's own mass
 STEPS = (13, 12, 16)  # points of that grid along K, B and M
 SEARCH_SEED = 101  # noise of the directed search
 GRID_SEEDS = (1, 2)  # noise of the reference grid, and of the second one
@@ -119,8 +118,8 @@ SEARCHED: dict[float, Axes] = {  # the grid of K, B, M at each active damping
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A display whose environment and active damping are varied: predicted in microseconds, or
-    tried, each trial once.
+    """A display with variable environment and active damping: predicted in microseconds, or tried,
+    each trial once.
     """
 
     conditions: Conditions
@@ -128,24 +127,24 @@ class Bench:
 
     @property
     def display(self) -> Display:
-        """The device, prepared."""
+        """The prepared device."""
         return self.conditions.display
 
     def sizes(self, points: Floats, level: float) -> Floats:
-        """Predicted |Z| (N, F) at `shown_hz()` of environments (N, 3)."""
+        """Return predicted |Z| (N, F) at `shown_hz()` of environments (N, 3)."""
         return np.abs(self.display.impedances(points, level, shown_hz()))
 
     def trials(
         self, points: Floats, level: float, seed: int, amplitude: float = 1.0
     ) -> list[Outcome]:
-        """A trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
+        """Run a trial of each environment (N, 3) with the noise of `seed`, its force multiplied by
         `amplitude`.
         """
         given = self.conditions.perturbed(amplitude, seed - self.conditions.excitation.seed)
         return outcomes_of(TrialBatch(given, level, points_of(points)), self.store)
 
     def limit(self, level: float, axis: int, reach: float | None = None) -> float:
-        """Predicted axis limit, the others 0: N/m, Ns/m, kg."""
+        """Return the predicted axis limit, the others 0: N/m, Ns/m, kg."""
         return predicted_limit(self.display, level, axis, reach=reach)
 
     def limits(
@@ -155,7 +154,7 @@ class Bench:
         axes: tuple[int, ...] = (0, 1, 2),
         reach: Point = REACH,
     ) -> tuple[Limit, ...]:
-        """Axis limits, by trials with so many seeds; predicted without."""
+        """Return axis limits, by trials with `seeds`; predicted without seeds."""
         plan = plan_limits(
             LimitsParams(
                 self.conditions,
@@ -169,7 +168,7 @@ class Bench:
         return limits_of([plan], self.store if seeds else None)
 
     def shaped(self, highpass_hz: float = 0.0, lowpass_hz: float = 0.0) -> "Bench":
-        """The same device with shaped damping."""
+        """Return the same device with shaped damping."""
         effect = ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz)
         scene = self.conditions.scene
         return Bench(
@@ -179,20 +178,20 @@ class Bench:
 
 
 def shown_hz() -> Floats:
-    """Frequencies (F,) of every impedance here, those of outcomes inside SHOWN_HZ."""
+    """Return the frequencies (F,) of every impedance here, those of outcomes inside SHOWN_HZ."""
     f = kept_frequencies()
     return f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
 
 
 def sizes(outcome: Outcome) -> Floats:
-    """|Z| (F,) of a trial at `shown_hz()`."""
+    """Return |Z| (F,) of a trial at `shown_hz()`."""
     return np.asarray(np.hypot(*outcome.z.T)[np.isin(outcome.frequency_hz, shown_hz())])
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One envelope: `negative` allows B < 0, `dry` counts on dry friction at the perturbation
-    of the trials.
+    """One envelope: `negative` permits B < 0, `dry` includes dry friction at the perturbation of
+    the trials.
     """
 
     name: str
@@ -203,12 +202,12 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Edges of one case over `shown_hz()` (F,), their owners places in `points` (N, 3); sd is that
-    of ln |Z| between seeds.
+    """Edges of one case over `shown_hz()` (F,); their owners are indices into `points` (N, 3); sd
+    is that of ln |Z| between seeds.
 
     `lower_runs`, `upper_runs` (seeds, F): of each seed, the prediction alone (1, F) without trials.
-    `predicted_lower` (F,): of all that are predicted to be passive. `excluded` environments failed
-    a trial.
+    `predicted_lower` (F,): of all environments predicted to be passive. `excluded` environments
+    failed a trial.
     """
 
     case: Case
@@ -222,15 +221,15 @@ class Bounds:
     excluded: int
 
     def lower_db(self) -> Floats:
-        """Mean of the lower edge over ln f [dB re 1 N s/m] (seeds,)."""
+        """Return the mean of the lower edge over ln f [dB re 1 N s/m] (seeds,)."""
         return mean_db(shown_hz(), self.lower_runs, LOW_HZ)
 
     def predicted_db(self) -> float:
-        """The lower edge by prediction alone [dB re 1 N s/m]."""
+        """Return the predicted lower edge [dB re 1 N s/m]."""
         return float(mean_db(shown_hz(), self.predicted_lower[None], LOW_HZ)[0])
 
     def width_db(self) -> Floats:
-        """Mean Z-width over ln f [dB] (seeds,)."""
+        """Return the mean Z-width over ln f [dB] (seeds,)."""
         return mean_db(shown_hz(), self.upper_runs / self.lower_runs, LOW_HZ)
 
 
@@ -238,9 +237,9 @@ class Bounds:
 class Motion:
     """|Z| [N s/m] of one environment without K over `shown_hz()`.
 
-    `predicted` has the shape (F,), `runs` (seeds, F) those of the trials that pass, maybe none.
+    `predicted` has the shape (F,), `runs` (seeds, F) those of the passing trials, possibly none.
 
-    `reserve_ns_per_m`: damping that the lifted theorem leaves, without friction.
+    `reserve_ns_per_m`: margin of damping by the lifted theorem, without friction.
     """
 
     name: str
@@ -253,18 +252,18 @@ class Motion:
 
     @property
     def size(self) -> Edge:
-        """Mean over trials, with the sd of ln |Z| between seeds; the prediction without."""
+        """Mean over trials, with the sd of ln |Z| between seeds; the prediction without trials."""
         no_owner = np.zeros(self.predicted.size, np.int64)
         return _edge(self.runs if len(self.runs) else self.predicted[None], no_owner)
 
     def low_db(self) -> Floats:
-        """Mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), of the prediction (1,) without
-        trials.
+        """Return the mean over ln f in 2-20 Hz [dB re 1 N s/m], (seeds,), or of the prediction (1,)
+        without trials.
         """
         return mean_db(shown_hz(), self.runs if len(self.runs) else self.predicted[None], LOW_HZ)
 
     def predicted_db(self) -> float:
-        """The same by prediction alone."""
+        """Return the same by prediction alone."""
         return float(mean_db(shown_hz(), self.predicted[None], LOW_HZ)[0])
 
 
@@ -273,7 +272,7 @@ class FreeMotion:
     """`motions`: off, on, on_negative_B, on_negative_BM. `limits`: of B downwards, without and with
     damping.
 
-    `refusal`: what Eq. 2 answers about B alone.
+    `refusal`: answer of Eq. 2 for B alone.
     """
 
     motions: tuple[Motion, ...]
@@ -296,7 +295,7 @@ class ShapedResult:
     """`plain` without a corner, `undamped` without damping; `bounds`, `confirmed` and `free` motion
     are those of the `best` high-pass.
 
-    `stiffest`: largest K [N/m] over the whole set, B and M beside it, predicted, of `plain` and of
+    `stiffest`: largest predicted K [N/m] over the whole set, with any B and M, of `plain` and of
     `best`.
     """
 
@@ -317,7 +316,7 @@ class DampingLevels:
     """`level` (L,), predicted `limits` (L, 3), `volume` (L,) [N/m N s/m kg], `free_db` (L,);
     `confirmed` by trials.
 
-    `open_ends` names where a grid did not reach beyond its set.
+    `open_ends` lists where a grid was smaller than its set.
     """
 
     level: Floats
@@ -328,7 +327,7 @@ class DampingLevels:
     open_ends: tuple[str, ...]
 
     def gain(self, low: float, high: float) -> Floats:
-        """Mean growth of the limits (3,) per N s/m between two levels."""
+        """Return the mean growth of the limits (3,) per N s/m between two levels."""
         at = [int(np.argmin(np.abs(self.level - each))) for each in (low, high)]
         return np.asarray(
             (self.limits[at[1]] - self.limits[at[0]]) / (self.level[at[1]] - self.level[at[0]])
@@ -337,7 +336,7 @@ class DampingLevels:
 
 @dataclass(frozen=True, eq=False)
 class SearchCheck:
-    """The check at one active damping: `points` of the grid, `passive` of them; wrong are
+    """The check at one active damping: `points` of the grid, `passive` of them. Wrong points:
     `predicted` by prediction alone, `other_noise` by the second grid, `searched` by n trials.
     `found` is the search with all of its trials.
     """
@@ -352,13 +351,15 @@ class SearchCheck:
 
     @property
     def enough(self) -> int | None:
-        """The first number of trials that leaves no more wrong than the floor; None if none did."""
+        """The first number of trials with at most as many wrong points as the floor; None if none
+        did.
+        """
         return next(
             (count for count, wrong in self.searched.items() if wrong <= self.other_noise), None
         )
 
     def share(self, wrong: int) -> float:
-        """The share of `wrong` points in the passive ones [%]."""
+        """Return `wrong` points in percent of the passive ones."""
         return 100.0 * wrong / self.passive
 
 
@@ -375,7 +376,7 @@ CASES = (
 
 @dataclass(frozen=True, eq=False)
 class FutureWorkPlan:
-    """The device, and the noise that everything shown passes with; none: prediction alone."""
+    """The device, and the noise for all shown results; none: prediction alone."""
 
     bench: Bench
     seeds: tuple[int, ...]
@@ -383,8 +384,8 @@ class FutureWorkPlan:
 
 @dataclass(frozen=True, eq=False)
 class FutureWorkResult:
-    """`envelopes` by the name of their case; `passing_twice`: share of the low owners
-    of an envelope that pass at twice the force as well.
+    """`envelopes` by the name of their case; `passing_twice`: share of the low owners of an
+    envelope that also pass at twice the force.
     """
 
     plan: FutureWorkPlan
@@ -397,12 +398,12 @@ class FutureWorkResult:
 
 
 def plan_future_work(quick: bool = False, seeds: int = SEEDS) -> FutureWorkPlan:
-    """Seeds 1, 2, ..., none if quick. ConfigError as `load_scene`."""
+    """Return a plan with seeds 1, 2, ..., none if quick. ConfigError as for `load_scene`."""
     return FutureWorkPlan(Bench(conditions(MAIN)), () if quick else tuple(range(1, seeds + 1)))
 
 
 def run_future_work(plan: FutureWorkPlan, tell: Progress = silent) -> FutureWorkResult:
-    """Do it. ConfigError as `simulate`."""
+    """Run the plan. ConfigError as for `simulate`."""
     bench = plan.bench
     seeds = plan.seeds
     steps = Steps(tell, len(CASES) + 3 + (len(LEVELS) if seeds else 0))
@@ -428,17 +429,17 @@ def run_future_work(plan: FutureWorkPlan, tell: Progress = silent) -> FutureWork
 
 
 def mean_sd(runs: Floats) -> tuple[float, float]:
-    """Mean and standard deviation over seeds, the latter nan with less than two."""
+    """Return mean and standard deviation over seeds, the latter nan with less than two."""
     return float(np.mean(runs)), float(np.std(runs, ddof=1)) if len(runs) > 1 else float("nan")
 
 
 def mean_db(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
-    """Mean over ln f [dB] (N,) of `values` (N, F) at the frequencies inside the band."""
+    """Return the mean over ln f [dB] (N,) of `values` (N, F) at the frequencies inside the band."""
     return mean_over_ln_f(frequency_hz, 20.0 * np.log10(values), band_hz)
 
 
 def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
-    """Environments (N, 3) of the grid that are predicted to be passive in this case."""
+    """Return environments (N, 3) of the grid that are predicted to be passive in this case."""
     kept = points if case.negative else points[points[:, 1] >= 0.0]
     return np.asarray(kept[bench.display.passive(kept, case.level, dry=case.dry)])
 
@@ -446,7 +447,7 @@ def candidates(bench: Bench, case: Case, points: Floats = GRID) -> Floats:
 def bounds_of(
     bench: Bench, case: Case, seeds: tuple[int, ...] = (), points: Floats = GRID
 ) -> Bounds:
-    """Bounds by trials of the owners, all of which pass with every seed; without seeds by
+    """Return bounds by trials of the owners, all of which pass with every seed; without seeds by
     prediction.
     """
     kept = candidates(bench, case, points)
@@ -474,8 +475,8 @@ def _excluding_failures(
     bench: Bench, level: float, points: Floats, size: Floats, seeds: tuple[int, ...]
 ) -> tuple[Floats, Flags, tuple[int, int]]:
     """Try environments (N, 3) with predicted `size` (N, F), until all owners have passed with every
-    seed: |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; how many trials were
-    made, and how many environments failed.
+    seed. Return |Z| (seeds, N, F) by trials, nan without one; those (N,) that passed; the number of
+    trials, and of failed environments.
     """
     every = np.full((len(seeds), *size.shape), np.nan)
     alive = np.full(len(points), True)
@@ -497,8 +498,8 @@ def _excluding_failures(
 
 
 def passing_twice(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.0) -> float:
-    """Share of the environments that own the lower edge in LOW_HZ which pass with `amplitude`
-    times the force as well.
+    """Return the share of the owners of the lower edge in LOW_HZ that also pass with `amplitude`
+    times the force.
     """
     low = (shown_hz() >= LOW_HZ[0]) & (shown_hz() <= LOW_HZ[1])
     points = bounds.points[np.unique(bounds.lower.owner[low])]
@@ -512,7 +513,7 @@ def passing_twice(bench: Bench, bounds: Bounds, seed: int, amplitude: float = 2.
 def _owners(
     size: Floats, among: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 ) -> tuple[Integers, Integers]:
-    """Who has the least and the largest predicted |Z| (F,)."""
+    """Return the owners of the minimum and the maximum predicted |Z| (F,)."""
     return np.where(among[:, None], size, np.inf).argmin(axis=0), np.where(
         among[:, None], size, -np.inf
     ).argmax(axis=0)
@@ -524,7 +525,7 @@ def _edge(runs: Floats, owner: Integers) -> Edge:
 
 
 def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> FreeMotion:
-    """Undamped against damped by `level` [N s/m]."""
+    """Compare undamped with damped free motion, at `level` [N s/m]."""
     end = bench.limit(level, 1, FURTHEST)
     damping, _ = lightest_safe(bench, level, end, 0.0)
     both = lightest_safe(bench, level, end, -bench.display.model.mass_kg * 2.0)
@@ -544,7 +545,7 @@ def free_motion(bench: Bench, level: float, seeds: tuple[int, ...]) -> FreeMotio
 def lightest_safe(
     bench: Bench, level: float, end: float, lightest_kg: float
 ) -> tuple[float, float]:
-    """(B, M) of the lightest motion that is safe, B from `end` and M from `lightest_kg` up to 0."""
+    """Return (B, M) of the lightest safe motion, B from `end` and M from `lightest_kg` up to 0."""
     masses = np.linspace(lightest_kg, 0.0, MASSES) if lightest_kg else np.zeros(1)
     points = grid((np.zeros(1), np.linspace(end, 0.0, DAMPINGS), masses))
     own = bench.display
@@ -574,7 +575,7 @@ def _motion(
 
 
 def _refusal(damping: float, physical: float) -> str:
-    """What the paper's Eq. 2 answers when it is asked about B < 0."""
+    """Return the answer of the paper's Eq. 2 for B < 0."""
     try:
         paper_equation_2(0.0, damping, physical)
     except AnalysisError as refused:
@@ -583,7 +584,7 @@ def _refusal(damping: float, physical: float) -> str:
 
 
 def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> ShapedResult:
-    """All corners at a damping level [N s/m] by prediction, the best one by trials."""
+    """Evaluate all corners at a damping level [N s/m] by prediction, the best one by trials."""
     undamped = corner(bench, 0.0)
     plain = corner(bench, level)
     highpass = tuple(corner(bench.shaped(highpass_hz=hertz), level, hertz) for hertz in HIGHPASS_HZ)
@@ -609,7 +610,7 @@ def shaped_damping(bench: Bench, level: float, seeds: tuple[int, ...]) -> Shaped
 
 
 def corner(bench: Bench, level: float, corner_hz: float = 0.0) -> Corner:
-    """What is predicted of a display at an active damping [N s/m]; `corner_hz` is that of its
+    """Return the predictions for a display at an active damping [N s/m]; `corner_hz` is that of its
     damping, 0 for none.
     """
     limits = (bench.limit(level, 0), bench.limit(level, 1), bench.limit(level, 2))
@@ -619,7 +620,7 @@ def corner(bench: Bench, level: float, corner_hz: float = 0.0) -> Corner:
 
 
 def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> DampingLevels:
-    """All levels by prediction, TRIED_LEVELS by trials."""
+    """Evaluate all levels by prediction, TRIED_LEVELS by trials."""
     each = [corner(bench, level) for level in DAMPING_LEVELS]
     limits = np.array([one.limits for one in each])
     free = np.array([one.free_db for one in each])
@@ -636,8 +637,8 @@ def damping_levels(bench: Bench, seeds: tuple[int, ...]) -> DampingLevels:
 
 
 def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, ...]]:
-    """Volume, and upper or lower ends at which the grid was too small; K and B begin at 0 by
-    definition.
+    """Return the volume, and upper or lower ends at which the grid was too small; K and B begin at
+    0 by definition.
     """
     k, b, m = limits * np.asarray(ROOM)
     axes = (
@@ -655,7 +656,7 @@ def compared_with_grid(
     budgets: tuple[int, ...] = BUDGETS,
     tell: Progress = silent,
 ) -> SearchCheck:
-    """Try the whole grid twice, search once with `budgets[-1]` trials; the search after fewer
+    """Try the whole grid twice, and search once with `budgets[-1]` trials; the search with fewer
     trials is a part of that one.
     """
     params = MapParams(
@@ -670,7 +671,7 @@ def compared_with_grid(
     search = plan_search(SearchParams(own, active_damping_ns_per_m, budgets[-1], doubt=0.0))
     found = run_search(search, TrialStore(None), tell)
     searched = {}
-    for count in budgets:  # what is tried does not depend on how many trials are to follow
+    for count in budgets:  # the choice of trials does not depend on how many follow
         outcomes = [step.outcome for step in found.steps[:count]]
         known = search.begin.with_trials(
             [one.environment for one in outcomes], [observed(own, one) for one in outcomes]

@@ -1,15 +1,14 @@
-"""The report of a reproduction: sections of words, a table, reasons and figures, as text for a
-terminal and as a Markdown page.
+"""The report of a reproduction: sections of text, a table, reasons and figures, for a terminal and
+as a Markdown page.
 
-`sections` makes those of the paper itself: what was asked, the table, and Figs. 2, 3, 4, 7-11 with
-two of our own; `future_work` adds what it left for future work. The page, the table and the figures
-are all made from that one list.
+`sections` makes those of the paper itself: the question, the table, and Figs. 2, 3, 4, 7-11 with
+two of our own; `future_work` adds the paper's future work. The page, the table and the figures are
+all made from that one list.
 
 A run leaves REPORT.md, the table as table.json, table.csv and table.md, and each figure as PNG and
-SVG. Everything is made in a folder of its own inside the one that was asked for and moved there at
-the end, where it takes the place of the run before: whoever presses Ctrl-C finds the files of one
-run there, and so does whoever asks for a run that makes less. What the run before made, its report
-names; files that it does not name are somebody else's and stay.
+SVG. All files are made in a temporary folder inside the target and moved there at the end, where
+they replace the earlier run. So after Ctrl-C, or after a run that makes fewer files, the folder
+contains the files of exactly one run. REPORT.md lists the files of a run; other files stay.
 """
 
 import csv
@@ -55,7 +54,7 @@ REPORT = "REPORT.md"
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure to be drawn, within `styled`: `name` of its files, what it shows."""
+    """A figure to be drawn, within `styled`: `name` of its files, and its caption."""
 
     name: str
     caption: str
@@ -64,9 +63,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """`rows` of the table, shown as `content` if that is given; `words` and captions are
-    Markdown.
-    """
+    """`rows` of the table, or `content` in their place; `words` and captions are Markdown."""
 
     title: str
     words: str
@@ -76,7 +73,7 @@ class Section:
 
     @property
     def table(self) -> Table:
-        """The table as it is shown."""
+        """The table as shown."""
         return self.content or paper_table(self.rows)
 
 
@@ -84,7 +81,7 @@ class Section:
 
 
 def sections(result: ReproduceResult) -> tuple[Section, ...]:
-    """In the order of the page."""
+    """Return the sections in the order of the page."""
     drawings = {
         "limits": (
             Drawing(
@@ -109,8 +106,8 @@ def sections(result: ReproduceResult) -> tuple[Section, ...]:
 
 
 def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
-    """The sections by the part of their rows, without figures; a part that is none of the paper's
-    has its table alone.
+    """Return the sections by the part of their rows, without figures; a part outside the paper has
+    only its table.
     """
     by_part: dict[str, tuple[PaperRow, ...]] = {}
     for row in found:
@@ -127,7 +124,7 @@ def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
 
 
 def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
-    """Drawings of the paper's figures; Fig. 2 only where walls were hit."""
+    """Return drawings of the paper's figures; Fig. 2 only if walls were tested."""
     off, on = LABELS
     drawn: list[tuple[int, str, Callable[..., Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
@@ -166,7 +163,7 @@ def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
 
 
 def page(title: str, head: str, sections: Iterable[Section]) -> str:
-    """Markdown; figures are expected beside it."""
+    """Return Markdown; figures are expected in the same folder."""
     parts = [f"# {title}", head]
     for section in sections:
         parts += [f"## {section.title}", section.words, table_part(section) if section.rows else ""]
@@ -178,13 +175,13 @@ def page(title: str, head: str, sections: Iterable[Section]) -> str:
 
 
 def table_part(section: Section) -> str:
-    """Its table and the reasons below, as Markdown."""
+    """Return the table of a section and the reasons below, as Markdown."""
     reasons = "\n".join(f"- {note}" for note in notes(section.rows))
     return f"{markdown(section.table)}\n{reasons}".strip()
 
 
 def terminal(sections: Sequence[Section]) -> str:
-    """The same for a terminal, without figures."""
+    """Return the sections as text for a terminal, without figures."""
     return "\n\n".join(
         "\n".join([section.title, "", text(section.table), *notes(section.rows)])
         for section in sections
@@ -202,7 +199,7 @@ def keep(
     tell: Progress = silent,
     width_mm: float | None = None,
 ) -> list[Path]:
-    """Write it all into `folder`, which is made; `content` (quick, seeds, table, provenance)
+    """Write everything into `folder`, which is created; `content` (quick, seeds, table, provenance)
     becomes table.json, figures are `width_mm` [mm] wide or as drawn. ConfigError.
     """
     try:
@@ -222,7 +219,7 @@ def keep(
 
 
 def _of_the_run_before(folder: Path) -> set[str]:
-    """Names of its figures."""
+    """Return the names of the figures of the earlier run."""
     if not (folder / REPORT).is_file():
         return set()
     named = re.findall(r"\]\((\w+)\.png\)", (folder / REPORT).read_text(errors="replace"))

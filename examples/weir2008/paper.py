@@ -1,8 +1,9 @@
-"""What Weir, Colgate and Peshkin (2008) print, and the simulated devices that stand for theirs.
+"""Printed numbers of Weir, Colgate and Peshkin (2008), and the simulated devices that represent
+theirs.
 
 D. W. Weir, J. E. Colgate and M. A. Peshkin, "Measuring and Increasing Z-Width with Active
-Electrical Damping", Haptics Symposium 2008. The numbers that are compared stand in `rows.toml`,
-those that are drawn or rendered here; `rows` puts ours beside them.
+Electrical Damping", Haptics Symposium 2008. The compared numbers are in `rows.toml`, the drawn or
+rendered ones here; `rows` compares ours with them.
 
     weir2008           calibrated: five numbers (friction, viscous damping, delay, lag of the
                        command, residual resistance) were fitted to the six printed limits
@@ -10,8 +11,8 @@ those that are drawn or rendered here; `rows` puts ours beside them.
                        limits instead of a lag in the path of the force
     weir2008_literal   the printed numbers alone: no lag, no friction, no physical damping
 
-No number may be read from a picture. The paper's curves exist only as pictures, so nothing but its
-words and printed numbers is taken.
+No number may be read from a picture. The paper's curves exist only as pictures, so only its text
+and its printed numbers are used.
 """
 
 import tomllib
@@ -23,12 +24,12 @@ MAIN = "weir2008"
 HIGH_PASS = "weir2008_probe_hp"
 LITERAL = "weir2008_literal"
 ADDED_NS_PER_M = 1.74  # active damping, section 5
-LEVELS = (0.0, ADDED_NS_PER_M)  # active damping that everything is asked at, N s/m
-MODES = {0.0: "off", ADDED_NS_PER_M: "on"}  # the end of a quantity's name
+LEVELS = (0.0, ADDED_NS_PER_M)  # levels of active damping used throughout, N s/m
+MODES = {0.0: "off", ADDED_NS_PER_M: "on"}  # suffix of a quantity's name
 NAMES = ("K_max", "B_max", "M_min")
 PERIOD_S = 1e-3  # of the servo
 WARMER_K = 40.0  # of the winding, in the paper's example
-FIG_4 = (100.0, 1.0, 0.010)  # K N/m, B N s/m, M kg of the trial that is shown
+FIG_4 = (100.0, 1.0, 0.010)  # K N/m, B N s/m, M kg of the shown trial
 FIG_7 = (50.0, 2.0, 0.0)
 
 SECTIONS = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8"))
@@ -46,14 +47,14 @@ PAPER = {f"{name}_{mode}": NUMBERS[f"{name}_{mode}"] for mode in MODES.values() 
 def paper_equation_2(
     stiffness_n_per_m: float,
     virtual_damping_ns_per_m: float,  # virtual damping B
-    physical_ns_per_m: float,  # b, what the device itself has
+    physical_ns_per_m: float,  # b, of the device itself
     rate_hz: float = 1000.0,
 ) -> bool:
-    """Whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B, for
-    unfiltered velocity, no delay and no virtual mass.
+    """Return whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B,
+    for unfiltered velocity, no delay and no virtual mass.
 
-    AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would
-    ask for less; and for K < 0, which no damping makes passive.
+    AnalysisError for B < 0, where the underlying theorem requires b > K T / 2 + |B| and Eq. 2 would
+    require less; and for K < 0, which no damping makes passive.
     """
     if stiffness_n_per_m < 0.0:
         raise AnalysisError(

@@ -1,25 +1,24 @@
-"""Every quantity of the reproduction beside the paper's: the rows of its table.
+"""Comparison of every quantity of the reproduction with the paper: the rows of its table.
 
 The parts of the table, in their order:
 
-limits       the six limits on their axes, their ratios, what K gains, the active damping measured
-readings     the same limits over the whole set
-figures      what was read from Figs. 2, 4 and 7-11
-band_edge    K limits for each lower edge of the judged band
-arithmetic   what follows from printed numbers alone
+limits       the six limits on their axes, their ratios, the gain of K, the measured active damping
+readings     the same limits over the whole set figures      readings from Figs. 2, 4 and 7-11
+band_edge    K limits for each lower edge of the judged band arithmetic   consequences of printed
+numbers alone
 
-Quantities, units, the paper's numbers and the reasons of differences stand in `rows.toml`. Here
-each quantity is found, and one loop makes the rows. A row says of which kind the agreement is:
+Quantities, units, the paper's numbers and the reasons of differences are in `rows.toml`. This
+module computes each quantity, and one loop makes the rows. A row states the kind of the agreement:
 
-calibrated   a number that the device was fitted to, or that it has by construction
-independent  nothing was fitted to it: Figs. 4, 7 and 8, the set readings, the lower band edge
-arithmetic   follows from numbers in the paper alone
+calibrated   a number that the device was fitted to, or that it has by construction independent  not
+fitted: Figs. 4, 7 and 8, the set readings, the lower band edge arithmetic   follows from numbers in
+the paper alone
 
-Six limits were fitted with five numbers, so agreement there is a fit. A row that does not match
-carries one reason in its note.
+Six limits were fitted with five numbers, so agreement there is a fit. A row that does not match has
+one reason in its note.
 
 A quantity must keep its name. The names are those of table.json, and the marks in
-docs/reproduction.md ask for them.
+docs/reproduction.md refer to them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -63,11 +62,11 @@ from hapticd.zwidth.walls import WallResult
 Kind = Literal["calibrated", "independent", "arithmetic"]
 PRINTED = "paper"  # the device of rows that need none
 TOLERANCE: float = SECTIONS["tolerance"]
-READ_HZ = 5.0  # where the active damping of the device alone is read
-LOW_HZ = (2.0, 10.0)  # where it is read from trials
+READ_HZ = 5.0  # where the active damping of the device alone is evaluated
+LOW_HZ = (2.0, 10.0)  # where it is evaluated from trials
 MIDDLE_HZ = (50.0, 100.0)  # the phase advantage
-HIGH_HZ = (150.0, 500.0)  # where the magnitude may not change
-MORE = 1.05  # times what was added: from here on the note names the reason
+HIGH_HZ = (150.0, 500.0)  # where the magnitude must not change
+MORE = 1.05  # times the added damping: from here on the note gives the reason
 NOTHING = "nothing"  # is passive: the case of a note
 UNPASSABLE = "unpassable"  # nothing is passive on that device by the paper's numbers
 PREDICTED = "predicted"
@@ -76,8 +75,8 @@ BY_TRIALS = "by_trials"
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One quantity as found; nan stands for a number that there is not. `case` and `differs` name
-    notes of its row, the latter where the paper has another number; `facts` are their numbers.
+    """One quantity as found; nan for a missing number. `case` and `differs` select notes of its
+    row, the latter if the paper has another number; `facts` are their numbers.
     """
 
     ours: float
@@ -94,7 +93,7 @@ Found = dict[str, Measured]  # by quantity
 
 @dataclass(frozen=True, slots=True)
 class PaperRow:
-    """One quantity on one device beside the paper's; nan stands for a number that there is not."""
+    """Comparison of one quantity on one device with the paper; nan for a missing number."""
 
     quantity: str
     paper: float  # as printed there, in `unit`
@@ -110,17 +109,17 @@ class PaperRow:
 
     @property
     def difference(self) -> float:
-        """Relative to the paper; nan without a number there."""
+        """Difference relative to the paper; nan without a number there."""
         return self.ours / self.paper - 1.0 if isfinite(self.paper) and self.paper else nan
 
     @property
     def matches(self) -> bool:
-        """Within TOLERANCE of the paper, or nothing to compare with."""
+        """Whether it is within TOLERANCE of the paper, or not comparable."""
         return not abs(self.difference) > TOLERANCE
 
 
 def told(section: str, device: str, found: Found) -> Iterator[PaperRow]:
-    """Rows of a section of `rows.toml` for one device, in the order of the file."""
+    """Yield rows of a section of `rows.toml` for one device, in the order of the file."""
     content = SECTIONS[section]
     for asked in content["rows"]:
         one = found.get(asked["quantity"])
@@ -147,7 +146,7 @@ def told(section: str, device: str, found: Found) -> Iterator[PaperRow]:
 
 
 def by_quantity(rows: Iterable[PaperRow]) -> dict[str, dict[str, PaperRow]]:
-    """{quantity: {device: row}} in order."""
+    """Return {quantity: {device: row}} in order."""
     found: dict[str, dict[str, PaperRow]] = {}
     for row in rows:
         found.setdefault(row.quantity, {})[row.device] = row
@@ -155,7 +154,7 @@ def by_quantity(rows: Iterable[PaperRow]) -> dict[str, dict[str, PaperRow]]:
 
 
 def rows(result: ReproduceResult) -> tuple[PaperRow, ...]:
-    """All rows, part by part."""
+    """Return all rows, part by part."""
     found = [
         row
         for part, measure in PARTS.items()
@@ -170,7 +169,7 @@ def rows(result: ReproduceResult) -> tuple[PaperRow, ...]:
 def arithmetic(
     torque_constant_nm_per_a: float, resistance_ohm: float, lever_m: float
 ) -> tuple[PaperRow, ...]:
-    """Rows from the paper's numbers alone, and from the motor of the device where the paper
+    """Return rows from the paper's numbers alone, and from the motor of the device where the paper
     gives none.
     """
     crowbar_nms, crowbar_ns = NUMBERS["eq3_crowbar"], NUMBERS["eq3_crowbar_endpoint"]
@@ -192,15 +191,15 @@ def arithmetic(
 
 
 def crowbar_nms_per_rad(torque_constant_nm_per_a: float, resistance_ohm: float) -> float:
-    """Damping [Nms/rad] of a shorted motor, K_m^2 / R (Weir 2008, Eq. 3)."""
+    """Return the damping [Nms/rad] of a shorted motor, K_m^2 / R (Weir 2008, Eq. 3)."""
     return torque_constant_nm_per_a**2 / resistance_ohm
 
 
 def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
-    """The lever radius [m] that would make both of the paper's crowbar figures true.
+    """Return the lever radius [m] for which both of the paper's crowbar figures would be true.
 
     Eq. 3 gives 1.7e-4 Nms/rad. The paper prints 3.7e-5 Ns/m for it at the endpoint, which would
-    need a lever of 2.14 m; with the lever of some 10 mm that fits the device it is 1.70 Ns/m.
+    require a lever of 2.14 m; with the lever of about 10 mm that fits the device it is 1.70 Ns/m.
     """
     return sqrt(crowbar_nms / crowbar_ns)
 
@@ -230,7 +229,7 @@ def _limits(result: ReproduceResult, name: str) -> Found:
 
 
 def _ratios(found: Found, reading: str = "") -> Found:
-    """Ratios of on over off, with the scatter of both."""
+    """Return ratios of on over off, with the scatter of both."""
     ratios = {}
     for name in NAMES:
         on, off = (found[f"{name}{reading}_{mode}"] for mode in ("on", "off"))
@@ -244,7 +243,7 @@ def _ratios(found: Found, reading: str = "") -> Found:
 
 
 def _added(name: str) -> Measured:
-    """Re Z that the circuit adds to the device alone, without friction."""
+    """Return Re Z added by the circuit to the device alone, without friction."""
     device = conditions(name).display
     off, on = (
         predicted_impedance(device.model, (0.0, 0.0, 0.0), [READ_HZ], level, device.filters)[0].real
@@ -255,7 +254,7 @@ def _added(name: str) -> Measured:
 
 
 def _sets(result: ReproduceResult, name: str) -> Found:
-    """Where on the set each limit is found, beside its reading on the axis."""
+    """Return the place of each limit on the set, compared with its reading on the axis."""
     along = _limits(result, name)
     found = {}
     for limit in (each for each in result.sets if each.device == name):
@@ -296,7 +295,7 @@ def _edges(result: ReproduceResult, name: str) -> Found:
 
 
 def _read(result: ReproduceResult, name: str) -> Found:
-    """What is read of one device; grid and walls only of the first."""
+    """Return the readings of one device; grid and walls only of the first."""
     names = ("fig4_passive", "fig7_passive_off", "fig7_passive_on")
     singles = result.singles[name]
     main = name == MAIN
@@ -331,7 +330,7 @@ def _passive(single: SingleTrials, name: str) -> Measured:
 
 
 def _fig7(undamped: SingleTrials, damped: SingleTrials, name: str) -> Found:
-    """Fig. 7 with over without active damping."""
+    """Return Fig. 7 with over without active damping."""
     values = compared(undamped, damped, name)
     count = len(values) if undamped.trials else 0
     sd = values.std(axis=0, ddof=1) if len(values) > 1 else np.full(3, nan)
@@ -349,8 +348,9 @@ def _fig7(undamped: SingleTrials, damped: SingleTrials, name: str) -> Found:
 
 
 def compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Floats:
-    """(seeds, 3): active damping [Ns/m], phase advantage [deg], largest change of magnitude [%], of
-    each seed that both trials survived; predicted if there is none."""
+    """Return (seeds, 3): active damping [Ns/m], phase advantage [deg], largest change of magnitude
+    [%], of each seed that both trials survived; predicted if there is none.
+    """
     pairs = zip(undamped.trials, damped.trials, strict=True)
     measured = [
         _differences(*_on_common_lines(off.measured, on.measured))
@@ -364,15 +364,15 @@ def compared(undamped: SingleTrials, damped: SingleTrials, name: str) -> Floats:
 
 
 def _on_common_lines(off: Impedance, on: Impedance) -> tuple[Floats, Complexes, Complexes]:
-    """Both impedances at the frequencies that both trials have: one that was judged again between
-    two lines of its window, at a narrow resonance, has a line more.
+    """Return both impedances at their common frequencies: a trial judged again between two lines of
+    its window, at a narrow resonance, has one more line.
     """
     f, at_off, at_on = np.intersect1d(off.frequency_hz, on.frequency_hz, return_indices=True)
     return f, off.impedance_ns_per_m[at_off], on.impedance_ns_per_m[at_on]
 
 
 def predicted(single: SingleTrials, name: str, frequency_hz: Floats) -> Complexes:
-    """Z (F,) [N s/m] of its environment at `frequency_hz` (F,), at the perturbation of the
+    """Return Z (F,) [N s/m] of its environment at `frequency_hz` (F,), at the perturbation of the
     trials of the device `name`.
     """
     device = conditions(name).display
@@ -392,7 +392,9 @@ def _differences(frequency_hz: Floats, off: Complexes, on: Complexes) -> tuple[f
 
 
 def _peak(mode: str, grid: GridResult | None) -> Found:
-    """The peak of the upper envelope: by trials for the first device, predicted of the others."""
+    """Return the peak of the upper envelope: by trials for the first device, predicted for the
+    others.
+    """
     peak = None if grid is None else grid.peak()
     seeds = 0 if grid is None else grid.seeds
     at = mass_kg = percent = nan
@@ -425,7 +427,7 @@ def _grid(grids: tuple[GridResult, ...]) -> Found:
 
 
 def _bounds(mode: str, found: GridResult) -> Found:
-    """The bounds of Fig. 11, at the frequency next to 2 Hz."""
+    """Return the bounds of Fig. 11, at the frequency next to 2 Hz."""
     envelope = found.envelope
     place = int(np.abs(envelope.frequency_hz - LOW_HZ[0]).argmin())
     w = 2.0 * np.pi * float(envelope.frequency_hz[place])

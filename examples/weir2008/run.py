@@ -3,7 +3,7 @@ simulated devices.
 
 Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electrical damping, 2008.
 
-    predict      limits, sets and envelopes by the first harmonic, in seconds; all that `quick` does
+    predict      limits, sets and envelopes by the first harmonic, in seconds; `quick` stops here
     limits       by trials of 90 s of noise, with every seed; from each lower band edge too
                  (`zwidth.limits`)
     grid         the paper's 6,384 environments, undamped and damped, and the envelope of those that
@@ -15,12 +15,12 @@ Two readings of a limit. Axis: the other two are 0, as the paper's numbers are u
 the largest over all passive K, B, M; its place is predicted, then only the parameter itself is
 searched by trials, from 0 at the predicted best of the others.
 
-Prediction says which trials of the grid cannot pass: those where even 85 % of the environment would
-not. The others are tried: that alone makes seconds of a laboratory's 13 days. Without
-trials the prediction alone fills set and envelope.
+Trials of the grid that cannot pass are predicted: even 85 % of the environment would not pass. Only
+the others are tried, which reduces a laboratory's 13 days to seconds. Without trials the prediction
+alone fills set and envelope.
 
-A limit of one perturbation must not be compared with that of another. Limitations: a set that is
-not star-shaped about K = B = M = 0, where a passive piece far from the rest would be missed.
+Limits of different perturbations must not be compared. Limitations: a set that is not star-shaped
+about K = B = M = 0, where a passive piece far from the rest would be missed.
 """
 
 from collections.abc import Sequence
@@ -72,10 +72,10 @@ __all__ = ["plan_reproduce", "run_reproduce"]
 
 SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
 SECONDS = 90.0  # of a trial, section 2.2
-SEEDS = 8  # noise realisations behind a limit on its axis
+SEEDS = 8  # noise realisations for a limit on its axis
 SET_SEEDS = EDGE_SEEDS = 4  # of the set readings, and of each lower band edge
 FINE = 2e-3  # of a limit; two rounds of a search reach it
-WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window says nothing
+WINDOW_HZ = PROBE_RATE_HZ / DEFAULT_LAG  # 1/(M Ts): below it the window gives no information
 EDGES_HZ = (1.0, 2.0, 3.0, 5.0, 10.0)
 LOW_HZ, TOP_HZ = DEFAULT_BAND_HZ
 SET_GRID = (np.arange(31) * 50.0, np.arange(19) * 0.5, np.arange(-10, 11) * 0.0025)
@@ -91,8 +91,8 @@ AXES: Axes = (
     np.asarray(np.arange(-12, 16) * 0.002, np.float64),
 )
 POINTS = grid(AXES)
-NEAR = 0.85  # of an environment that is tried must be predicted passive
-PEAK_HZ = (40.0, 200.0)  # where the peak of Fig. 8 is looked for
+NEAR = 0.85  # share of a tried environment that must be predicted passive
+PEAK_HZ = (40.0, 200.0)  # where the peak of Fig. 8 is searched
 PROMINENT = 1.01  # above the valleys on both sides
 SMOOTHED = 3  # neighbouring frequencies of a running median, about 10 % of one
 WALL_DAMPINGS = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0)  # Ns/m
@@ -101,7 +101,7 @@ WALL_STIFFNESSES = tuple(np.geomspace(20.0, 3000.0, 22).tolist())  # N/m
 
 @dataclass(frozen=True, slots=True)
 class ReproducePlan:
-    """`seeds`: noise realisations behind each limit; none: prediction alone, no trials."""
+    """`seeds`: noise realisations for each limit; none: prediction alone, no trials."""
 
     seeds: tuple[int, ...]
     devices: tuple[str, ...] = tuple(SCENES)
@@ -110,20 +110,20 @@ class ReproducePlan:
 @dataclass(frozen=True, eq=False)
 class Limit:
     """Limit of one parameter: `values` (seeds,) by trials, empty without; 0, and nan in
-    `predicted`, where nothing is passive.
+    `predicted`, if nothing is passive.
     """
 
     device: str
     level: float  # active damping, N s/m
-    axis: int  # place in NAMES; in N/m, N s/m or kg
-    base: Point  # K, B, M that the others stay at
+    axis: int  # index into NAMES; in N/m, N s/m or kg
+    base: Point  # constant K, B, M of the others
     predicted: float
     values: Floats
     low_hz: float = LOW_HZ  # of the judged band
 
     @property
     def mean(self) -> float:
-        """The mean over seeds; the prediction without trials; 0 where nothing is passive."""
+        """The mean over seeds; the prediction without trials; 0 if nothing is passive."""
         return float(np.nan_to_num(self.values.mean() if self.values.size else self.predicted))
 
     @property
@@ -134,7 +134,7 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class SingleTrials:
-    """Trials of one environment by seed, None of one that ran away (no seeds if quick), and the
+    """Trials of one environment by seed, None for a runaway (no seeds if quick), and the
     prediction's verdict.
     """
 
@@ -145,14 +145,14 @@ class SingleTrials:
 
     @property
     def passed(self) -> int:
-        """How many were passive by the paper's rule."""
+        """Number of trials that were passive by the paper's rule."""
         return sum(
             trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials
         )
 
     @property
     def shown(self) -> Impedance | None:
-        """Impedance of the first seed that did not run away, on the frequencies of the figures."""
+        """Impedance of the first seed without a runaway, at the frequencies of the figures."""
         found = next((trial.spectra for trial in self.trials if trial is not None), None)
         if found is None:
             return None
@@ -163,8 +163,8 @@ class SingleTrials:
 
 @dataclass(frozen=True, eq=False)
 class Peak:
-    """A maximum of an envelope: its |Z| [N s/m], by how much it stands above the higher of its
-    valleys, its owner (K, B, M).
+    """A maximum of an envelope: its |Z| [N s/m], its rise above the higher of its valleys, its
+    owner (K, B, M).
     """
 
     frequency_hz: float
@@ -175,8 +175,8 @@ class Peak:
 
 @dataclass(frozen=True, eq=False)
 class GridResult:
-    """The grid at one damping level: `passive` (nK, nB, nM) of it, `undecided` of the `trials`
-    that passed; the envelope [N s/m], and `environments` (N, 3) that its owners are places in.
+    """The grid at one damping level: the `passive` part (nK, nB, nM), `undecided` of the `trials`
+    that passed; the envelope [N s/m], and `environments` (N, 3), into which its owners are indices.
     """
 
     passive: Flags
@@ -187,11 +187,11 @@ class GridResult:
 
     @property
     def seeds(self) -> int:
-        """Behind each environment: one, or none if it was predicted."""
+        """Seeds of each environment: one, or none if it was predicted."""
         return min(self.trials, 1)
 
     def peak(self) -> Peak | None:
-        """The upper edge's most prominent maximum in PEAK_HZ, if any."""
+        """Return the upper edge's most prominent maximum in PEAK_HZ, if any."""
         f = self.envelope.frequency_hz
         edge = self.envelope.upper
         size = _running_median(edge.value) if self.trials else edge.value
@@ -232,14 +232,14 @@ class ReproduceResult:
 
 
 def plan_reproduce(quick: bool = False, seeds: int = SEEDS) -> ReproducePlan:
-    """Seeds 1, 2, ..., none if quick."""
+    """Return a plan with seeds 1, 2, ..., none if quick."""
     return ReproducePlan(() if quick else tuple(range(1, seeds + 1)))
 
 
 @cache
 def conditions(device: str) -> Conditions:
-    """Conditions of the paper's trials on one of SCENES, by the name of its device; the first seed
-    is 1.
+    """Return the conditions of the paper's trials on one of SCENES, by the name of its device; the
+    first seed is 1.
     """
     scene = load_scene(SCENES[device])
     return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
@@ -248,7 +248,7 @@ def conditions(device: str) -> Conditions:
 def run_reproduce(
     plan: ReproducePlan, tell: Progress = silent, executor: Executor | None = None
 ) -> ReproduceResult:
-    """Predict all, then make the trials on `executor` or on threads here. ConfigError as
+    """Predict all, then make the trials on `executor` or on threads here. ConfigError as for
     `simulate`.
     """
     seeds = len(plan.seeds)
@@ -278,7 +278,7 @@ def run_reproduce(
 
 
 def _readings(devices: tuple[str, ...], seeds: int) -> tuple[list[LimitsPlan], ...]:
-    """Limits on their axes, over the whole set, and of K from each lower band edge."""
+    """Plan limits on their axes, over the whole set, and of K from each lower band edge."""
     each = [(name, level) for name in devices for level in LEVELS]
     return (
         [_limits_plan(name, seeds) for name in devices],
@@ -317,8 +317,8 @@ def limits_of(
     tell: Progress = silent,
     pool: Executor | None = None,
 ) -> tuple[Limit, ...]:
-    """Every limit of the plans, in their order: by trials into `store`, or predicted where there is
-    none. Where nothing is predicted to be passive there are no trials.
+    """Return every limit of the plans, in their order: by trials into `store`, or predicted without
+    a store. There are no trials if nothing is predicted to be passive.
     """
     asked = [(plan.params, scan) for plan in plans for scan in plan.scans]
     values = {}
@@ -348,8 +348,9 @@ def limits_of(
 
 
 def set_place(device: str, level: float, axis: int) -> Point:
-    """Where the set reading of a parameter is searched from: of the places beside the extreme of
-    the predicted set the one that reaches farthest, itself 0; K = B = M = 0 if none is passive.
+    """Return the start of the search for the set reading of a parameter. Of the places near the
+    extreme of the predicted set it is the one that reaches farthest, itself 0; K = B = M = 0 if
+    none is passive.
     """
     own = conditions(device).display
     kept = predicted_set(own, level)
@@ -365,7 +366,9 @@ def set_place(device: str, level: float, axis: int) -> Point:
 
 @cache
 def predicted_set(device: Display, level: float) -> Floats:
-    """Environments (N, 3) of SET_GRID that are predicted passive at a damping level [N s/m]."""
+    """Return environments (N, 3) of SET_GRID that are predicted passive at a damping
+    level [N s/m].
+    """
     points = grid(SET_GRID)
     return np.asarray(points[device.passive(points, level)])
 
@@ -380,8 +383,8 @@ def _single(
 
 
 def single_trial(device: str, point: Point, level: float, seed: int) -> TrialResult | None:
-    """A trial of Figs. 4 and 7, its record forgotten; None of one that ran away before
-    anything could be judged.
+    """Run a trial of Figs. 4 and 7 and drop its record; return None for a runaway before any
+    verdict.
     """
     given = conditions(device)
     trial = Trial(point, level, given.seconds, replace(given.excitation, seed=seed))
@@ -395,14 +398,14 @@ def single_trial(device: str, point: Point, level: float, seed: int) -> TrialRes
 
 
 def _grid(tell: Progress, pool: Executor) -> tuple[GridResult, ...]:
-    """The grid of each level, by trials."""
+    """Return the grid of each level, by trials."""
     plan = worth_trying(plan_map(MapParams(conditions(MAIN), AXES, LEVELS)))
     return tuple(_of_map(level) for level in run_map(plan, TrialStore(None), tell, pool).levels)
 
 
 def worth_trying(plan: MapPlan) -> MapPlan:
-    """The plan without what cannot pass: neither the environment nor NEAR of it is predicted
-    passive.
+    """Return the plan without trials that cannot pass: neither the environment nor NEAR of it is
+    predicted passive.
     """
     device = plan.params.conditions.display
     levels = [
@@ -417,8 +420,8 @@ def worth_trying(plan: MapPlan) -> MapPlan:
 
 
 def _of_map(level: LevelMap) -> GridResult:
-    """Set and envelope of the trials that passed, in the order of the grid. AnalysisError if
-    none did.
+    """Return set and envelope of the passed trials, in the order of the grid. AnalysisError if none
+    passed.
     """
     passed = [outcome for outcome in level.outcomes if outcome.passes]
     if level.envelope is None:
@@ -435,8 +438,9 @@ def _of_map(level: LevelMap) -> GridResult:
 
 
 def by_prediction(device: Display, level: float) -> GridResult | None:
-    """The same without trials: `undecided` and `trials` are 0, the envelope has no uncertainty.
-    None for an empty set."""
+    """Return the same without trials: `undecided` and `trials` are 0, the envelope has no
+    uncertainty. None for an empty set.
+    """
     passive = device.passive(POINTS, level)
     kept = POINTS[passive]
     if not len(kept):
@@ -450,6 +454,8 @@ def by_prediction(device: Display, level: float) -> GridResult | None:
 
 
 def _running_median(values: Floats) -> Floats:
-    """Running median over what the window cannot resolve, against the noise of the estimate."""
+    """Return the running median over the resolution of the window, against the noise of the
+    estimate.
+    """
     padded = np.pad(values, SMOOTHED // 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, SMOOTHED), axis=1))

@@ -1,8 +1,8 @@
 """The rows as a table: a column for each device, as text, as Markdown, as JSON, and back.
 
-A cell holds our value, one standard deviation between seeds, the difference from the paper and, in
-square brackets, the number of the note below the table. Each note is listed once, with the
-quantities that it belongs to.
+A cell contains our value, one standard deviation between seeds, the difference from the paper and,
+in square brackets, the number of the note below the table. Each note is listed once, with its
+quantities.
 
 All rows of one quantity must have one unit; the unit column shows the first.
 """
@@ -37,7 +37,7 @@ OF_A_ROW = (
 
 
 def paper_table(rows: Iterable[PaperRow]) -> Table:
-    """Ours for each device beside the paper: +- one sd between seeds, the difference, and the
+    """Compare ours for each device with the paper: +- one sd between seeds, the difference, and the
     number of its note.
     """
     found = list(rows)
@@ -58,8 +58,8 @@ def paper_table(rows: Iterable[PaperRow]) -> Table:
 
 
 def readings_table(axis: Iterable[PaperRow], whole: Iterable[PaperRow]) -> Table:
-    """Axis and set reading of each limit and ratio side by side; `whole` has the names of
-    `axis` with `_set` in them.
+    """Return axis and set reading of each limit and ratio in adjacent columns; `whole` has the
+    names of `axis` with `_set` in them.
     """
     along = by_quantity(axis)
     over = by_quantity(whole)
@@ -82,7 +82,7 @@ def readings_table(axis: Iterable[PaperRow], whole: Iterable[PaperRow]) -> Table
 
 
 def notes(rows: Iterable[PaperRow]) -> list[str]:
-    """What does not match or needs saying, once each, by the numbers in the table."""
+    """Return the reasons of differences and other notes, once each, by the numbers in the table."""
     found = list(rows)
     lines = []
     for note, number in _numbers(found).items():
@@ -98,12 +98,12 @@ def notes(rows: Iterable[PaperRow]) -> list[str]:
 
 
 def as_json(rows: Iterable[PaperRow]) -> list[dict[str, Any]]:
-    """Objects with null where there is no number."""
+    """Return objects with null for missing numbers."""
     return [{name: to_json(getattr(row, name)) for name in OF_A_ROW} for row in rows]
 
 
 def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[PaperRow, ...]:
-    """The rows again."""
+    """Return the rows from JSON values."""
     known: Iterable[dict[str, Any]] = (
         {name: nan if value is None else value for name, value in each.items()} for each in content
     )
@@ -114,19 +114,19 @@ def from_json(content: Iterable[Mapping[str, Any]]) -> tuple[PaperRow, ...]:
 
 
 def markdown(content: Table) -> str:
-    """The same table for a page."""
+    """Return the same table for a page."""
     lines = [content.columns, tuple("---" for _ in content.columns), *content.rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
 
 
 def _devices(rows: list[PaperRow]) -> list[str]:
-    """In order; `paper` stands for all where there is no other."""
+    """Return the devices in order; `paper` only if there is no other."""
     every = list(dict.fromkeys(row.device for row in rows))
     return [name for name in every if name != PRINTED] or every
 
 
 def _numbers(rows: Iterable[PaperRow]) -> dict[str, int]:
-    """{note: its number} in order."""
+    """Return {note: its number} in order."""
     known = dict.fromkeys(
         row.note
         for by_device in by_quantity(rows).values()
@@ -137,7 +137,7 @@ def _numbers(rows: Iterable[PaperRow]) -> dict[str, int]:
 
 
 def _kinds(by_device: Mapping[str, PaperRow]) -> str:
-    """The kind, and which devices are of another."""
+    """Return the kind, and the devices of another kind."""
     kinds = {name: row.kind for name, row in by_device.items()}
     first = next(iter(kinds.values()))
     return "; ".join([first, *(f"{name} {kind}" for name, kind in kinds.items() if kind != first)])
