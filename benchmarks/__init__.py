@@ -1,3 +1,3 @@
-"""What hapticd must reach, measured: `make bench`, or `python benchmarks/run.py --only wake`.
-See docs/development/benchmarks.md.
+"""Benchmarks of hapticd against its targets: `make bench`, or `python benchmarks/run.py --only
+wake`. See docs/development/benchmarks.md.
 """

@@ -1,9 +1,9 @@
-"""The least that a recorder can cost: h5py appending the same bytes as often, from a process of its
-own.
+"""Minimum cost of a recorder: h5py appending the same bytes at the same rate, in a separate
+process.
 
 Ticks of `layout.RECORD` and samples of the probe in one growing dataset of bytes each, flushed
-every 100 ms. Arguments: file, ticks and samples a second, seconds. Says `{}` when it begins to
-count, and its CPU seconds at the end.
+every 100 ms. Arguments: file, ticks and samples a second, seconds. It prints `{}` when the
+measurement begins, and its CPU seconds at the end.
 """
 
 import json
@@ -17,11 +17,11 @@ from hapticd.protocol.telemetry import PROBE_DTYPE as PROBE
 from hapticd.recording.recorder import FLUSH_PERIOD_S
 
 CHUNK_ROWS = {"servo": 1024, "probe": 4096}
-SETTLED = 10  # appends before it counts
+SETTLED = 10  # appends before the measurement begins
 
 
 def main() -> None:
-    """Chunks of a second, single writer and multiple readers."""
+    """Append chunks of one second, with a single writer and multiple readers."""
     import h5py
 
     path = sys.argv[1]

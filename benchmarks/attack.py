@@ -1,18 +1,18 @@
 """An attack on the force path: random commands, traits of the board and faults of the link.
 
-A flight is a servo and its simulated board in lock-step for TICKS ticks. Its seed makes the board
-(queue, transport, hands, stops, bounce, clock, a hello that contradicts the device file), the
-servo (limits, ramps), the faults and when they strike, and every command: all kinds, several in a
-tick, scheduled ones, values that are no values, the stop word, a gateway that falls silent, a host
-that pauses. Who commands wants force: a servo that stands is reset, zeroed and enabled again. What
-must never happen is judged at the simulated motor (`attack_watch`).
+A flight is a servo and its simulated board in lock-step for TICKS ticks. Its seed determines the
+board (queue, transport, hands, stops, bounce, clock, a hello that contradicts the device file), the
+servo (limits, ramps), the faults and their times, and every command: all kinds, several in a tick,
+scheduled ones, invalid values, the stop word, a gateway that falls silent, a host that pauses. The
+operator aims at force: a servo without force is reset, zeroed and enabled again. Violations are
+judged at the simulated motor (`attack_watch`).
 
     python benchmarks/attack.py                      a million ticks, as `make bench`
     python benchmarks/attack.py --ticks 4000000 --first-seed 1000      others, and more
-    python benchmarks/attack.py --seed 17            one flight, with what was found
+    python benchmarks/attack.py --seed 17            one flight, with its violations
 
-A count says how often each kind of fault and trait came; below LEAST the attack says so. What would
-break it: a fault or trait of the board that is not in its table here (it is never tried).
+A count shows how often each kind of fault and trait occurred; the attack reports counts below
+LEAST. Limitations: a fault or trait of the board that is not in its table here is never tried.
 """
 
 import argparse
@@ -54,17 +54,17 @@ from hapticd.settings.build import board_params, servo_params
 TARGETS = targets.of("attack")
 TICKS = 4000  # of one flight
 FAULTS = 12  # of one flight
-LONGEST = 24  # ticks between two looks at the servo
+LONGEST = 24  # ticks between two actions of the operator
 RUN_TICKS = 1_000_000
-LEAST = 20  # times that every fault and trait comes in a million ticks
+LEAST = 20  # minimum count of every fault and trait in a million ticks
 
 
 class Kind(NamedTuple):
-    """How a fault of `sim.injection` is drawn: for how many ticks on end, and its value."""
+    """Parameters of a fault of `sim.injection`: number of consecutive ticks, and its value."""
 
     count: tuple[int, int] = (1, 1)
     values: tuple[float, ...] = (0.0,)
-    lies: bool = False  # about the encoder
+    lies: bool = False  # false readings of the encoder
 
 
 KINDS = {
@@ -113,7 +113,7 @@ class Flight(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What one flight gave."""
+    """Result of one flight."""
 
     seed: int
     ticks: int
@@ -123,7 +123,7 @@ class Found(NamedTuple):
 
 
 def drawn(seed: int, random: Random) -> Flight:
-    """The flight of `seed`."""
+    """Return the flight of `seed`."""
     stand = settings()
     servo = servo_params(stand, "attack")
     board = board_params(stand)
@@ -204,7 +204,7 @@ def _distant(board: BoardParams, random: Random) -> BoardParams:
     return replace(board, out_transport_us=0.4 * pair_us, in_transport_us=0.6 * pair_us)
 
 
-# share of the flights that have it, and what it does to the board
+# share of the flights with the trait, and its effect on the board
 TRAITS: dict[str, tuple[float, Any]] = {
     "in_queue": (0.4, lambda board, random: replace(board, in_queue_depth=random.randint(1, 4))),
     "board_time": (
@@ -248,7 +248,7 @@ MOST = {
 
 
 class Operator:
-    """Whoever commands: everything at random, and back to force."""
+    """Sends random commands, and returns to force."""
 
     def __init__(self, stack: LockStep, random: Random) -> None:
         self.stack = stack
@@ -257,7 +257,7 @@ class Operator:
         self.silent_ticks = 0
 
     def act(self, state: int) -> None:
-        """What is done at this moment."""
+        """Act once."""
         random = self.random
         if state != State.ENABLED and random.random() < 0.7:
             for kind in RECOVERY:
@@ -305,7 +305,7 @@ class Operator:
             self.posted[seq] = kind
 
     def given(self) -> Iterator[Given]:
-        """The answers since the last call."""
+        """Yield the answers since the last call."""
         for one in self.stack.gateway.answers():
             yield Given(self.posted.get(one.seq, 0), one.result, one.first_tick, one.effective)
 
@@ -323,8 +323,8 @@ WEIGHTS = [
 
 
 def struck(board: BoardParams, ticks: int) -> Any:
-    """Whether an encoder lied (row 0), or samples or commands were lost (row 1), not long before
-    each OUT; one that was piled up or delayed may be read some ticks later.
+    """Return whether an encoder was wrong (row 0), or samples or commands were lost (row 1),
+    shortly before each OUT; a queued or delayed one may be read some ticks later.
     """
     rows = np.zeros((2, ticks), bool)
     for one in board.injections:
@@ -333,7 +333,7 @@ def struck(board: BoardParams, ticks: int) -> Any:
 
 
 def fly(seed: int) -> Found:
-    """One flight, judged."""
+    """Run and judge one flight."""
     random = Random(seed)
     flight = drawn(seed, random)
     with LockStep(flight.servo, flight.board) as stack:
@@ -359,19 +359,19 @@ def fly(seed: int) -> Found:
 
 
 def campaign(ticks: int, first_seed: int = 1, processes: int | None = None) -> Iterator[Found]:
-    """Flights of at least `ticks` ticks together, as they end."""
+    """Yield flights of at least `ticks` ticks in total, as they end."""
     seeds = range(first_seed, first_seed + -(-ticks // TICKS))
     with ProcessPoolExecutor(processes or os.cpu_count()) as pool:
         yield from pool.map(fly, seeds, chunksize=4)
 
 
 def measure() -> Iterator[Figure]:
-    """The million ticks of `make bench`."""
+    """Run the million ticks of `make bench`."""
     yield from figures(list(campaign(RUN_TICKS)))
 
 
 def figures(found: list[Found]) -> Iterator[Figure]:
-    """What the flights amount to."""
+    """Yield the figures of the flights."""
     ticks = sum(one.ticks for one in found)
     wrong = [one for one in found if one.violations]
     seeds = ", ".join(str(one.seed) for one in wrong[:8])
@@ -395,7 +395,7 @@ def figures(found: list[Found]) -> Iterator[Figure]:
 
 
 def main(arguments: list[str]) -> int:
-    """Attack; 1 if anything was found."""
+    """Run the attack; return 1 for any violation."""
     parser = argparse.ArgumentParser(description="attack the force path", allow_abbrev=False)
     parser.add_argument("--ticks", type=int, default=RUN_TICKS)
     parser.add_argument("--first-seed", type=int, default=1)

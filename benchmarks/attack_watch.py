@@ -1,26 +1,26 @@
-"""The judge of the attack: what the simulated motor may do, seen at the motor and nowhere else.
+"""The judge of the attack: permitted behaviour of the simulated motor, observed only at the motor.
 
     authority   force only while the board grants torque, and only in a stay in `enabled` or
-                `homing` that begins with an enable or home of ours that was answered `applied`
+                `homing` that begins with an own enable or home that was answered `applied`
     clamp       never beyond the smaller of both force limits
-    step        from one OUT to the next no further than limits.force_step_n beyond the law's own
-                step, whatever is commanded and whatever happens; a step to 0 takes force away, and
-                so does one towards 0 once force has to end
-    end         0 within 22 periods after the servo left those states, but for the first tick after
-                a host stood still; at once for `disabled`
-    silence     0 within the watchdog's time and a period after the last OUT that the board took
+    step        from one OUT to the next at most limits.force_step_n beyond the law's own step, for
+                any command and any fault; a step to 0 removes force, and so does one towards 0
+                once force has to end
+    end         0 within 22 periods after the servo left those states, except for the first tick
+                after a host stood still; at once for `disabled`
+    silence     0 within the watchdog's time and a period after the last OUT accepted by the board
 
-The motor is watched in every piece that the plant plays, so between two OUTs too. The law's own
-step is bounded by what the handle did: K times the range of its position over the last OUTs, B
-times that of its speed, M times that of its acceleration, and the wall's likewise. That is the
-plant's own motion, not what the servo believed, and no filter passes on more than the range of what
-went into it lately. While an encoder lies or an amplifier does not do what it is told, steps are
-not judged, and the amplifier's own factor widens the clamp: no servo can know better.
+The motor is observed in every piece that the plant plays, so between two OUTs too. The law's own
+step is bounded by the motion of the handle: K times the range of its position over the last OUTs, B
+times that of its speed, M times that of its acceleration, and the wall's likewise. This is the
+plant's own motion, not the servo's estimate, and no filter passes more than the recent range of its
+input. While an encoder is wrong or an amplifier does not follow its command, steps are not judged,
+and the amplifier's own factor widens the clamp: the servo cannot detect this.
 
-Of the servo's records only the state is used, to know since when it asks for no force; and that
-state is checked against the commands that were given.
+Of the servo's records only the state is used, for the time since which it requests no force; and
+that state is checked against the commands.
 
-What would break it: a device whose force scale has an offset, a filter of less than 50 Hz.
+Limitations: a device whose force scale has an offset, a filter of less than 50 Hz.
 """
 
 from typing import Any, NamedTuple
@@ -39,15 +39,15 @@ from hapticd.sim.injection import Injector
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 END_PERIODS = 22  # from the tick that left `enabled` to no force
-CALM_OUTS = 4  # over which the law's own step is looked for
-STRUCK_OUTS = 24  # over which, after samples or commands were lost
+CALM_OUTS = 4  # over which the law's own step is evaluated
+STRUCK_OUTS = 24  # the same, after lost samples or commands
 SLACK_N = 0.02  # quantised positions through the derivative filters
 MOST_TOLD = 20
 SEQ_WORD = 0  # of an OUT frame in 16 bits
 
 
 class Violation(NamedTuple):
-    """One thing that must not happen, where it happened."""
+    """One violation of a rule, with its place."""
 
     rule: str
     tick: int
@@ -55,18 +55,18 @@ class Violation(NamedTuple):
 
 
 class Out(NamedTuple):
-    """The motor around one OUT that the board took."""
+    """The motor around one OUT accepted by the board."""
 
-    seq: int  # its number; it is that of a tick's record
-    before_n: float  # force that the plant felt last
+    seq: int  # its number, also that of a tick's record
+    before_n: float  # last force on the plant
     after_n: float
     position_m: float
-    odd: bool  # the amplifier lies
-    number: int  # of OUTs that were tried before, by which faults strike
+    odd: bool  # the amplifier does not follow its command
+    number: int  # number of earlier OUT attempts, by which faults strike
 
 
 class Given(NamedTuple):
-    """An answer to a command of ours."""
+    """An answer to a command of the operator."""
 
     kind: int
     result: int
@@ -75,7 +75,7 @@ class Given(NamedTuple):
 
 
 class Watch:
-    """Follows the motor of `stack`. `lies` are the OUT numbers at which an encoder lies."""
+    """Follows the motor of `stack`. `lies` are the OUT numbers at which an encoder is wrong."""
 
     def __init__(self, stack: LockStep, servo: ServoParams, board: BoardParams) -> None:
         port = stack.backend._port
@@ -106,7 +106,7 @@ class Watch:
     def _watch_plant(self) -> None:
         axis = self._axis
         step = axis.plant.step
-        half_n = 0.5 * abs(self._servo.device.force.per_count)  # limits are rounded to counts too
+        half_n = 0.5 * abs(self._servo.device.force.per_count)  # limits are also rounded to counts
         most_n = self.limit_n + 1.001 * half_n
         odd_n = max(most_n * self._widest, self._stuck_n) * (1.0 + 1e-9)
 
@@ -126,7 +126,9 @@ class Watch:
         axis.plant = axis.plant._replace(step=watched)
 
     def _beyond(self, force_n: float, odd_n: float) -> None:
-        """Beyond the clamp, unless an OUT that may be in force was taken while it lied."""
+        """Report a force beyond the clamp, unless a recent OUT was accepted with a
+        wrong amplifier.
+        """
         odd = any(out.odd for out in self.outs[-3:])
         if not (odd and -odd_n <= force_n <= odd_n):
             self.tell("clamp", f"{force_n:.3f} N, limit {self.limit_n:g} N")
@@ -159,17 +161,17 @@ class Watch:
             self.found.append(Violation(rule, self._stack.loop.tick, text))
 
     def under_force(self) -> int:
-        """OUTs after which the motor had force."""
+        """Return the number of OUTs after which the motor had force."""
         return sum(1 for out in self.outs if out.after_n)
 
     def judge(self, records: Any, lies: "np.ndarray[Any, Any]") -> list[Violation]:
-        """All violations of a flight. `records` are its ticks, `lies` whether an encoder
-        lied (row 0) or something was lost (row 1) not long before each OUT.
+        """Return all violations of a flight. `records` are its ticks; `lies` shows whether an
+        encoder was wrong (row 0) or something was lost (row 1) shortly before each OUT.
         """
         if len(self.outs) < STRUCK_OUTS:
             return self.found
         outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
-        # by their number: in flight the board takes an OUT after the call of its tick
+        # by their number: in flight the board receives an OUT after the call of its tick
         frames = np.ascontiguousarray(records["out_frame"]).view("<u2").reshape(len(records), -1)
         numbers = frames[:, SEQ_WORD]
         ticks = np.minimum(np.searchsorted(numbers, outs.seq), len(records) - 1)
@@ -234,7 +236,7 @@ class Watch:
         step_n = np.abs(outs.after_n - outs.before_n)
         bound_n = self._servo.device.force_step_n + SLACK_N
         told = encoder | outs.odd | np.roll(outs.odd, 1) | np.roll(outs.odd, 2)
-        less = outs.after_n * (outs.before_n - outs.after_n) >= 0.0  # no other sign, nearer to 0
+        less = outs.after_n * (outs.before_n - outs.after_n) >= 0.0  # same sign, nearer to 0
         wrong = (step_n > bound_n + law_n) & ~(less & ~granted) & (outs.after_n != 0.0) & ~told
         return [
             Violation(
@@ -247,7 +249,7 @@ class Watch:
         ]
 
     def _highest(self, ticks: Any) -> Any:
-        """Highest |K|, |B|, |M| and wall numbers that were asked for up to each OUT."""
+        """Return the highest requested |K|, |B|, |M| and wall numbers up to each OUT."""
         highest = np.zeros((len(PARAMETERS), ticks.max() + 2))
         start = self._servo.environment
         highest[:, 0] = (
@@ -274,7 +276,7 @@ PARAMETERS = (
 
 
 class Outs(NamedTuple):
-    """The columns of some Out."""
+    """The columns of several Out."""
 
     seq: Any
     before_n: Any
@@ -285,7 +287,7 @@ class Outs(NamedTuple):
 
 
 def _range(values: Any, outs: int) -> Any:
-    """Highest less lowest of `values` over each and the `outs` before it."""
+    """Return the range of `values` over each and the `outs` before it."""
     padded = np.concatenate((np.full(outs, values[0]), values))
     windows = np.lib.stride_tricks.sliding_window_view(padded, outs + 1)
     return np.ptp(windows, axis=1)

@@ -1,8 +1,8 @@
-"""The bare path of a tick: pyusb above the simulated bus, a board that does nothing, the
-afternoon's tick, the wire's CRCs.
+"""The minimal path of a tick: pyusb on the simulated bus, an empty board, the simple tick, the
+wire's CRCs.
 
-What is left out is what the product adds: the board's firmware and plant, the sequence, the
-commands, the safety table, the mailbox.
+Left out are the product's own parts: the board's firmware and plant, the sequence, the commands,
+the safety table, the mailbox.
 """
 
 import time
@@ -28,21 +28,21 @@ class EmptyBoard:
         self._replies, self._frame = control_replies(params), codec.encode_in(QUIET)
 
     def power_up(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
-        """Not looked at."""
+        """Ignore the packet."""
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        """Always there."""
+        """Return the same frame."""
         return self._frame
 
     def next_in_ns(self) -> int | None:
-        """Never waited for."""
+        """Return None: there is no wait."""
         return None
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
-        """As the simulated board."""
+        """Answer as the simulated board."""
         reply = self._replies.get((request_type, request, value))
         return None if reply is None else reply[:length]
 
@@ -56,7 +56,7 @@ class PyusbLink(UsbLink):
 
 
 def empty_link(usb: UsbParams, board: BoardParams, clock: Clock) -> UsbLink:
-    """An open link to an empty board: pyusb's own transfers, which are the yardstick."""
+    """Return an open link to an empty board, with pyusb's own transfers: the yardstick."""
     usb = replace(usb, in_flight=False)
     link = PyusbLink(usb, SimulatedBackend(EmptyBoard(board), clock))
     link.open()
@@ -64,14 +64,14 @@ def empty_link(usb: UsbParams, board: BoardParams, clock: Clock) -> UsbLink:
 
 
 class BareLoop:
-    """Wire, pyusb, empty board and bare tick, over and over."""
+    """Wire, pyusb, empty board and minimal tick, repeatedly."""
 
     def __init__(self, usb: UsbParams, board: BoardParams, tick: ReferenceTick) -> None:
         self._link = empty_link(usb, board, VirtualClock())
         self._tick = tick
 
     def cpu_s(self, ticks: int) -> float:
-        """CPU time of that many."""
+        """Return the CPU time of `ticks` ticks."""
         inward = array("B", bytes(frames.PACKET_BYTES))
         outward = array("B", bytes(frames.OUT_BYTES))
         read = self._link.read

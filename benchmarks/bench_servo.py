@@ -1,4 +1,4 @@
-"""The true servo loop on the machine's clock inside a worker, enabled without a gateway process."""
+"""The real servo loop on the machine's clock inside a worker, enabled without a gateway process."""
 
 import atexit
 import dataclasses
@@ -24,7 +24,7 @@ from hapticd.servo.wait import spinning_wait
 from hapticd.usb.base import Link
 from hapticd.usb.device import Device
 
-FOR_EVER_S = 1e6  # nobody beats here
+FOR_EVER_S = 1e6  # no heartbeat here
 ACTOR = 1
 CHUNK_S = 0.05
 SETTLE_CHUNKS = 100
@@ -33,7 +33,7 @@ NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
 def read_parameters(path: str) -> tuple[ServoParams, BoardParams]:
-    """Servo and board of a `stand.parameter_file`; the servo goes on without a heartbeat."""
+    """Read servo and board of a `stand.parameter_file`; the servo runs without a heartbeat."""
     plain = json.loads(Path(path).read_text())
     servo = from_plain(ServoParams, plain[files.SERVO_JSON], path)
     safety = dataclasses.replace(servo.safety, gateway_timeout_s=FOR_EVER_S)
@@ -43,7 +43,7 @@ def read_parameters(path: str) -> tuple[ServoParams, BoardParams]:
 
 
 class BenchServo:
-    """A servo above `link`; `before(ticks)` is called ahead of every run."""
+    """A servo on `link`; `before(ticks)` is called before every run."""
 
     def __init__(
         self, params: ServoParams, link: Link, before: Callable[[int], None] = lambda _: None
@@ -63,7 +63,7 @@ class BenchServo:
         self._chunk = int(CHUNK_S * rate_hz)
 
     def run(self, ticks: int) -> bytes:
-        """Run `ticks` ticks from now on; their records."""
+        """Run `ticks` ticks from now on; return their records."""
         first = self.loop.tick
         self._before(ticks)
         self.loop.restart_clock()
@@ -71,7 +71,7 @@ class BenchServo:
         return self.gateway.records(first, ticks)[0]
 
     def enable(self) -> None:
-        """Enabled, and the gain has come up. BenchError when the servo refuses."""
+        """Enable, and wait for the end of the gain ramp. BenchError if the servo refuses."""
         self.gateway.beat(self.clock.now_ns())
         self.gateway.post(Command.ENABLE, ACTOR, 0, NO_VALUES)
         self.settle()
@@ -80,7 +80,7 @@ class BenchServo:
             raise BenchError(f"the servo was not enabled: {results}")
 
     def settle(self) -> None:
-        """Go on from now until no ramp runs, also the one after a pause. BenchError when that
+        """Run until no ramp runs, including the one after a pause. BenchError if that
         does not end.
         """
         self._before(SETTLE_CHUNKS * self._chunk)
@@ -95,8 +95,8 @@ class BenchServo:
         )
 
     def late_ticks(self, ticks: int) -> dict[str, int]:
-        """How many of `ticks` ticks end beyond the next deadline, grace or not, by LateCause. They
-        run in pieces that the ring holds, each after `settle`.
+        """Return how many of `ticks` ticks end beyond the next deadline, with or without grace, by
+        LateCause. They run in pieces that fit into the ring, each after `settle`.
         """
         found: Counter[str] = Counter()
         while ticks:
@@ -111,7 +111,7 @@ class BenchServo:
         first = self.loop.tick
         self.loop.run(ticks)
         records = layout.RECORD.iter_unpack(self.gateway.records(first, ticks)[0])
-        causes = [record[LATE_CAUSE] for record in records][1:]  # each is of the tick before
+        causes = [record[LATE_CAUSE] for record in records][1:]  # each is that of the tick before
         known = Counter(layout.LateCause(cause).name for cause in causes if cause)
         known["LAST"] = self._late() - before - known.total()
         return +known

@@ -1,8 +1,8 @@
-"""First days at rigs whose truth is hidden: does what they find hold the truth, and is it narrow?
+"""First days on rigs with hidden truth: coverage and width of the resulting intervals.
 
-    blind_coverage     of all values with a known truth, those whose 95 % interval holds it, in
-                       percent; a value that a rig does not come to counts as missed
-    blind_least        of all quantities the one that is held at the fewest rigs, out of 20
+    blind_coverage     of all values with a known truth, those whose 95 % interval contains it, in
+                       percent; a value that a rig does not reach counts as missed
+    blind_least        of all quantities the one that is covered on the fewest rigs, out of 20
     blind_halfwidths   worst of median half of the interval over its target: 1 % of the force's
                        gain, 3 % of the damping's, 10 % of each friction, 0.05 periods of d
     blind_refused      broken rigs that are refused at the right step, by name, out of 7
@@ -14,7 +14,7 @@
 
 Seeds of the tests are below 1000.
 
-What would break it: a step that learns its seeds; so they begin elsewhere when somebody doubts.
+Limitations: a step tuned to its seeds; use another first seed in case of doubt.
 """
 
 import argparse
@@ -51,7 +51,7 @@ RELATIVE = {  # targets of half-widths, of the true value
 
 
 class Seen(NamedTuple):
-    """A value that a rig found, and what is true."""
+    """A value found on a rig, and its truth."""
 
     quantity: str  # step and name
     value: float
@@ -61,24 +61,24 @@ class Seen(NamedTuple):
 
     @property
     def held(self) -> bool:
-        """Whether the interval holds the truth."""
+        """Whether the interval contains the truth."""
         return self.low <= self.true <= self.high
 
 
 class Rig(NamedTuple):
-    """What became of the day at one rig."""
+    """Result of the day on one rig."""
 
     seed: int
     broken: str
     seen: tuple[Seen, ...]
-    ended: tuple[str, str]  # step and words of what was refused; empty if nothing was
+    ended: tuple[str, str]  # step and text of a refusal; empty if there was none
     error: str
     force_share: float
     seconds: float
 
 
 def spend(seed: int, broken: str = "") -> Rig:
-    """A first day at the rig `seed`."""
+    """Spend a first day on the rig `seed`."""
     begin = time.perf_counter()
     with BlindRig(seed, broken or None) as rig:
         day = first_day(rig)
@@ -97,13 +97,15 @@ def spend(seed: int, broken: str = "") -> Rig:
 
 
 def by_name(rig: Rig) -> bool:
-    """Whether a broken rig was refused at the right step, in the words that name what it is."""
+    """Return whether a broken rig was refused at the right step, with a text that names
+    the defect.
+    """
     step, word = REFUSED[rig.broken]
     return rig.ended[0] == step and word in rig.ended[1]
 
 
 def by_quantity(rigs: Iterable[Rig]) -> dict[str, list[Seen]]:
-    """What was seen of each quantity."""
+    """Return the values by quantity."""
     found: dict[str, list[Seen]] = defaultdict(list)
     for rig in rigs:
         for one in rig.seen:
@@ -112,7 +114,7 @@ def by_quantity(rigs: Iterable[Rig]) -> dict[str, list[Seen]]:
 
 
 def share_of_target(quantity: str, seen: list[Seen]) -> float | None:
-    """Median half of the interval over its target; None without one."""
+    """Return the median half of the interval over its target; None without one."""
     halves = [(one.high - one.low) / 2.0 for one in seen]
     if quantity in ABSOLUTE:
         return median(halves) / ABSOLUTE[quantity]
@@ -123,7 +125,7 @@ def share_of_target(quantity: str, seen: list[Seen]) -> float | None:
 
 
 def figures(good: list[Rig], broken: list[Rig]) -> Iterator[Figure]:
-    """The five figures; notes name what is worst."""
+    """Yield the five figures; notes name the worst cases."""
     found = by_quantity(good)
     held = {name: sum(one.held for one in seen) for name, seen in found.items()}
     expected = len(good) * len(found)
@@ -159,7 +161,7 @@ def _figure(name: str, value: float, unit: str, note: str) -> Figure:
 
 
 def spent(rigs: int, first_seed: int, with_broken: bool = True) -> tuple[list[Rig], list[Rig]]:
-    """The days at good and at broken rigs; says what each came to."""
+    """Return the days on good and on broken rigs, and print each result."""
     jobs = [(first_seed + number, "") for number in range(rigs)]
     if with_broken:
         jobs += [(BROKEN_SEED + number, name) for number, name in enumerate(REFUSED)]
@@ -173,7 +175,7 @@ def spent(rigs: int, first_seed: int, with_broken: bool = True) -> tuple[list[Ri
 
 
 def _tell(rig: Rig, number: int, of: int) -> None:
-    """Progress on stderr: what became of a rig, and what its intervals did not hold."""
+    """Print progress on stderr: the result of a rig, and its missed intervals."""
     words = f"{number} of {of}: rig {rig.seed} {rig.broken}, {rig.seconds:.0f} s"
     missed = [
         f"  {one.quantity} {one.value:.5g} ({one.low:.5g} to {one.high:.5g}), true {one.true:.5g}"
@@ -186,12 +188,12 @@ def _tell(rig: Rig, number: int, of: int) -> None:
 
 
 def measure() -> Iterator[Figure]:
-    """All of it, 20 rigs and the broken ones."""
+    """Measure all of it, 20 rigs and the broken ones."""
     yield from figures(*spent(RIGS, FIRST_SEED))
 
 
 def main() -> None:
-    """What the command line asks for."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description="first days at blind rigs")
     parser.add_argument("--rigs", type=int, default=RIGS)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)

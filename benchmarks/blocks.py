@@ -1,4 +1,4 @@
-"""Numbers from blocks: a quantile of each block, then the median over the blocks, so that one
+"""Statistics of blocks: a quantile of each block, then the median over the blocks, so that one
 disturbed block is one vote.
 """
 
@@ -7,11 +7,11 @@ from statistics import median
 
 
 def quantile(values: Sequence[float], fraction: float) -> float:
-    """Value below which `fraction` of `values` lie (nearest rank)."""
+    """Return the value below which `fraction` of `values` lie (nearest rank)."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(fraction * len(ordered)))]
 
 
 def median_quantile(blocks: Sequence[Sequence[float]], fraction: float) -> float:
-    """Median over `blocks` of their quantile."""
+    """Return the median over `blocks` of their quantile."""
     return median(quantile(block, fraction) for block in blocks)

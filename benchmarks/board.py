@@ -34,7 +34,7 @@ PIECES = 5  # of the plant in a tick: four ends of 250 us, and the latch between
 
 
 def measure() -> Iterator[Figure]:
-    """Least of blocks that take turns; then the lock-step runs."""
+    """Measure blocks in turns and take their minimum; then the lock-step runs."""
     servo, board = scene_params(SCENE)
     clocks = VirtualClock(NS_PER_MS), VirtualClock(NS_PER_MS)
     link = UsbLink(replace(servo.usb, in_flight=False), simulated_backend(board, clocks[0]))
@@ -56,7 +56,7 @@ def measure() -> Iterator[Figure]:
 
 
 class Pairs:
-    """Writes and reads of `link`; the device is kept moving by a changing force."""
+    """Writes and reads of `link`; a changing force keeps the device moving."""
 
     def __init__(self, link: UsbLink, clock: VirtualClock) -> None:
         self._link = link
@@ -64,7 +64,7 @@ class Pairs:
         self._number = 0
 
     def us(self, pairs: int) -> float:
-        """Microseconds of one, the median of a block."""
+        """Return the microseconds of one pair, the median of a block."""
         out = array("B", bytes(frames.OUT_BYTES))
         reply = array("B", bytes(frames.PACKET_BYTES))
         pack = codec.out_packer(out)
@@ -97,7 +97,7 @@ class PlantAlone:
         )
 
     def us(self, ticks: int) -> float:
-        """Microseconds of the sub-steps of one tick, in as many pieces as the board plays them,
+        """Return the microseconds of the sub-steps of one tick, in as many pieces as on the board,
         the median of a block.
         """
         step = self._step
@@ -117,5 +117,5 @@ class PlantAlone:
 
 
 def force_count(number: int) -> int:
-    """A square wave of 10 Hz."""
+    """Return a square wave of 10 Hz."""
     return 2000 * (-1) ** (number // 50)

@@ -1,5 +1,5 @@
-"""What a verb costs at the shell: `hapticd set` and `hapticd stop` beside a Python that only sends
-one ZeroMQ message and waits for its echo, started in turns.
+"""Cost of a verb at the shell: `hapticd set` and `hapticd stop` compared with a Python that only
+sends one ZeroMQ message and waits for its echo, started in turns.
 """
 
 import subprocess
@@ -27,7 +27,7 @@ socket.recv()
 
 
 def measure() -> Iterator[Figure]:
-    """Ratios of medians; each round starts every command once."""
+    """Yield ratios of medians; each round starts every command once."""
     with daemon.running("verbs") as instance, echoing_at() as endpoint:
         here = [sys.executable, "-m", "hapticd"]
         commands = {
@@ -36,7 +36,7 @@ def measure() -> Iterator[Figure]:
             "stop": [*here, "stop", "--instance", instance],
         }
         for command in commands.values():
-            _taken_ms(command)  # files into memory
+            _taken_ms(command)  # to cache the files
         rounds = [
             [{name: _taken_ms(one) for name, one in commands.items()} for _ in range(SAMPLES)]
             for _ in range(BLOCKS)
@@ -52,7 +52,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _taken_ms(command: Sequence[str]) -> float:
-    """Wall time of one process, from start to end. BenchError if it fails."""
+    """Return the wall time of one process, from start to end. BenchError if it fails."""
     begin_ns = time.monotonic_ns()
     done = subprocess.run(command, env=environment(), cwd=ROOT, capture_output=True, text=True)
     taken_ms = (time.monotonic_ns() - begin_ns) / NS_PER_MS

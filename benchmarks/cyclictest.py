@@ -1,5 +1,5 @@
-"""cyclictest of rt-tests, the kernel people's own measure of wake-up latency: what the machine
-gives to a C program. Late wakes are counted by wakes.c where it is missing.
+"""cyclictest of rt-tests, the standard measure of wake-up latency for a C program on this machine.
+wakes.c counts late wakes if it is missing.
 """
 
 import re
@@ -18,7 +18,7 @@ REMEDY = (
 
 
 def latencies_ns(samples: int, period_us: int) -> list[int]:
-    """Wake-up latencies of `samples` periods at the servo's priority and core. BenchError
+    """Return wake-up latencies of `samples` periods at the servo's priority and core. BenchError
     without tool or rights.
     """
     text = _run(samples, period_us, ["-N", "-h", str(LONGEST_NS)], servo_core())
@@ -32,14 +32,14 @@ def latencies_ns(samples: int, period_us: int) -> list[int]:
 
 
 def wakes_beyond_period(samples: int, period_us: int, core: int) -> int:
-    """How many of `samples` wakes on that core came a whole period late or more."""
+    """Return how many of `samples` wakes on that core were at least a period late."""
     if shutil.which("cyclictest") is None:
         return _own_wakes(samples, period_us, core)
     return _overflows(_run(samples, period_us, ["-h", str(period_us)], core))
 
 
 def prepare() -> None:
-    """Compile what counts the wakes, so that no compiler disturbs a measurement."""
+    """Compile the counter of wakes in advance, so that no compiler disturbs a measurement."""
     if shutil.which("cyclictest") is None:
         _own_program()
 
@@ -54,7 +54,7 @@ def _own_wakes(samples: int, period_us: int, core: int) -> int:
 
 @cache
 def _own_program() -> Path:
-    """wakes.c, compiled into build. BenchError without a compiler."""
+    """Return wakes.c compiled into build. BenchError without a compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise BenchError(f"neither cyclictest nor a C compiler: {REMEDY}")

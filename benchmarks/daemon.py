@@ -1,5 +1,5 @@
-"""A daemon of its own for a benchmark: `hapticd run` on the shipped simulated board, in an
-instance that nobody else has.
+"""A separate daemon for a benchmark: `hapticd run` on the shipped simulated board, in a unique
+instance.
 """
 
 import os
@@ -19,7 +19,7 @@ START_S = 30.0
 
 @contextmanager
 def running(name: str) -> Iterator[str]:
-    """The instance of a daemon that is ready and disabled; it is ended afterwards."""
+    """Start a daemon, ready and disabled, and yield its instance; end it afterwards."""
     instance = f"bench-{name}-{os.getpid()}"
     config = shipped("config") / "hapticd.toml"
     command = [

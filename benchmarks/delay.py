@@ -1,13 +1,13 @@
-"""From a sample to its force on the model of full-speed USB: transfers in flight over one after the
-other.
+"""Delay from a sample to its force on the model of full-speed USB: transfers in flight compared
+with sequential ones.
 
 Servo and simulated board run on virtual time at 1 kHz on each bus of `sim.bus.BAND`, in SEEDS
-histories of it. Each way measures its bus and sets its phase as it does with a real board; the
-figure is what the records then say, by the board's clock. The worst bus counts, of those that hold
-the rate one after the other; the note names the others, with the delay in flight. All of it is
-"model": no true bus has been measured for it.
+histories of it. Each mode measures its bus and sets its phase as with a real board; the figure
+comes from the records, by the board's clock. The worst bus counts, among those that keep the rate
+with sequential transfers; the note lists the others, with the delay in flight. All of it is
+"model": no real bus was measured for it.
 
-What would break it: a bus whose host costs are those of no machine (they decide the ratio most).
+Limitations: a bus with host costs that no machine has (they dominate the ratio).
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ NOT_HELD = float("inf")
 
 
 def measure() -> Iterator[Figure]:
-    """The band."""
+    """Measure the band."""
     pairs = {name: (delay_us(bus, True), delay_us(bus, False)) for name, bus in BAND.items()}
     ratios = {name: flight / turn for name, (flight, turn) in pairs.items() if turn < NOT_HELD}
     worst = max(ratios, key=lambda name: ratios[name])
@@ -48,7 +48,9 @@ def measure() -> Iterator[Figure]:
 
 
 def delay_us(bus: BusParams, in_flight: bool) -> float:
-    """Median delay over SEEDS histories; NOT_HELD if one of them does not hold the rate."""
+    """Return the median delay over SEEDS histories; NOT_HELD if one of them does not
+    keep the rate.
+    """
     return float(np.mean([_delay_us(bus, in_flight, seed) for seed in range(1, SEEDS + 1)]))
 
 

@@ -1,12 +1,12 @@
-"""Trials that the directed search needs: on oracles without noise for 2 % of the passive set's
+"""Trials needed by the directed search: on oracles without noise for 2 % of the passive set's
 volume, and on weir2008.
 
 The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters of 100 and 72 Hz;
-the bent one has a damping that the environment changes by up to 0.55 N s/m. A grid of yes and no
+the nonaffine one has a damping that the environment changes by up to 0.55 N s/m. A binary grid
 needs 290,000 and 180,000 trials.
 
-weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is simulated
-twice (`examples.weir2008.future_work`).
+weir2008, undamped and damped, trials of 90 s with noise: compared with a grid of 2,002 that is
+simulated twice (`examples.weir2008.future_work`).
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ HEADLINE = 40
 
 
 def measure() -> Iterator[Figure]:
-    """Trials until the volume that is held wrongly is 2 % of the true one; then weir2008."""
+    """Count trials until the wrongly classified volume is 2 % of the true one; then weir2008."""
     for name, bend in BEND.items():
         needed = _trials(bend)
         if needed is None:

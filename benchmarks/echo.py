@@ -1,6 +1,4 @@
-"""The least that a request between two processes can cost: a ROUTER that sends back
-what it gets.
-"""
+"""Minimum cost of a request between two processes: a ROUTER that returns each message."""
 
 import subprocess
 import sys
@@ -16,7 +14,7 @@ from benchmarks.worker import ROOT, environment
 
 @contextmanager
 def echoing_at() -> Iterator[str]:
-    """The endpoint of a process that sends back what it gets."""
+    """Yield the endpoint of a process that returns each message."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         endpoint = f"ipc://{folder}/echo"
         process = subprocess.Popen(
@@ -31,7 +29,7 @@ def echoing_at() -> Iterator[str]:
 
 @contextmanager
 def echoing() -> Iterator["zmq.Socket[bytes]"]:
-    """A DEALER whose messages come back."""
+    """Yield a DEALER whose messages are returned."""
     with echoing_at() as endpoint:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         socket = context.socket(zmq.DEALER)
@@ -44,7 +42,7 @@ def echoing() -> Iterator["zmq.Socket[bytes]"]:
 
 
 def echo_ns(socket: "zmq.Socket[bytes]", message: bytes) -> int:
-    """Time until `message` is back."""
+    """Return the time until `message` is back."""
     begin_ns = time.monotonic_ns()
     socket.send(message)
     socket.recv()

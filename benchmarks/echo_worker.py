@@ -1,4 +1,4 @@
-"""The least that a command can cost: a ROUTER that sends back what it gets. Argument: endpoint."""
+"""Minimum cost of a command: a ROUTER that returns each message. Argument: endpoint."""
 
 import sys
 
@@ -6,7 +6,7 @@ import zmq
 
 
 def main() -> None:
-    """Serve until it is terminated."""
+    """Serve until terminated."""
     context = zmq.Context()
     socket = context.socket(zmq.ROUTER)
     socket.bind(sys.argv[1])

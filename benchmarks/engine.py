@@ -1,8 +1,8 @@
-"""The batch engine's kernel beside C by hand, numba without lanes, MuJoCo and scipy, and what its
-effects cost.
+"""The batch engine's kernel compared with hand-written C, numba without lanes, MuJoCo and scipy,
+and the cost of its effects.
 
-Nanoseconds of CPU per plant step of one trial; all that is compared runs interleaved in this
-process, least of all rounds.
+Nanoseconds of CPU per plant step of one trial; all compared runs are interleaved in this process,
+minimum of all rounds.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,7 +28,7 @@ NS = 1e9
 
 
 def measure() -> Iterator[Figure]:
-    """All of them; what is missing says so."""
+    """Yield all figures, or the reason why one is missing."""
     for dtype in ("f32", "f64"):
         yield _beside_c(f"engine_c_{dtype}", dtype)
     yield _beside_scalar()
@@ -89,7 +89,7 @@ def _beside_peers() -> Iterator[Figure]:
 
 
 def _rms(torque: Any) -> dict[int, float]:
-    """The engine's rms velocity of trial 0 over the lengths that peers play."""
+    """Return the engine's rms velocity of trial 0 over the lengths of the peers."""
     lengths = {}
     for ticks in (SOLVER_TICKS, MUJOCO_TICKS):
         lanes = Lanes(model(), "f64", ticks)

@@ -1,9 +1,9 @@
-"""The yardstick of the engine in C: compiling engine_reference.c for a scene, and giving it the
-engine's own numbers.
+"""The yardstick of the engine in C: compile engine_reference.c for a scene, with the engine's own
+numbers.
 
-The C has what the scene's kernel has, and no more: the same states, the same coefficients that are
-not zero, the same friction, the same sub-steps. `Yard` is that C as a machine can run it at best:
-one thread a core, all cores at once, nothing else done.
+The C contains exactly the contents of the scene's kernel: the same states, the same nonzero
+coefficients, the same friction, the same sub-steps. `Yard` runs that C at the machine's best: one
+thread a core, all cores at once, no other work.
 """
 
 import ctypes
@@ -44,12 +44,12 @@ LAW_ROWS = 6
 SUM_ROWS = 6
 CHOOSING = 9  # rounds in which the lane count is chosen
 COUNTED = ("COUNT", "COUNTS", "FORCE_COUNT", "FORCE_COUNTS", "LIMIT")
-AGREEMENT = {"f32": 1e-3, "f64": 1e-9}  # of the sums of a run; f32 differs by a count now and then
+AGREEMENT = {"f32": 1e-3, "f64": 1e-9}  # of the sums of a run; f32 occasionally differs by a count
 
 
 class CReference:
-    """The same scene in C with `lanes` trials side by side; a call plays what `ours` plays.
-    BenchError without a compiler.
+    """The same scene in C with `lanes` parallel trials; a call plays the same as `ours`. BenchError
+    without a compiler.
     """
 
     def __init__(self, ours: Lanes, dtype: str, lanes: int) -> None:
@@ -72,7 +72,7 @@ class CReference:
         self.reset()
 
     def reset(self) -> None:
-        """At rest, nothing summed."""
+        """Set to rest, with empty sums."""
         self.state[:] = self.sums[:] = 0.0
         self.sums[: self.lanes] = 1.0
 
@@ -87,15 +87,15 @@ class CReference:
         return self.lanes * self.ticks * self.samples
 
     def squared(self) -> Any:
-        """Sum of squared velocity of each trial since `reset`."""
+        """Return the sum of squared velocity of each trial since `reset`."""
         return self.sums[self.lanes : 2 * self.lanes]
 
 
 class Yard:
-    """The C of the scene of `ours` on all cores, with its best lane count; `keep`: it leaves every
-    sample, as analysis needs.
+    """The C of the scene of `ours` on all cores, with its best lane count; `keep`: it stores every
+    sample, as needed for analysis.
 
-    BenchError without a compiler, or when C and engine play different motions.
+    BenchError without a compiler, or if C and engine play different motions.
     """
 
     def __init__(self, ours: Lanes, dtype: str, keep: bool = False) -> None:
@@ -109,8 +109,8 @@ class Yard:
         self.found: list[float] = []
 
     def time(self, samples: float) -> None:
-        """Add a round over as many 4 kHz samples, all trials together: seconds for each, on a
-        machine whose cores all do this.
+        """Add a round over as many 4 kHz samples, all trials together: seconds for each, with all
+        cores busy.
         """
         self.found.append(_timed(self._team, ceil(samples / sum(one.steps for one in self._team))))
 
@@ -129,7 +129,7 @@ def _repeat(run: CReference, calls: int) -> None:
 
 
 def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
-    """BenchError unless both, just made, play the same motion."""
+    """Raise BenchError unless both, just created, play the same motion."""
     ours()
     theirs()
     count = min(ours.lanes, theirs.lanes)
@@ -143,8 +143,8 @@ def check_same(ours: Lanes, theirs: CReference, dtype: str) -> None:
 
 
 def _scene(ours: Lanes) -> list[float]:
-    """struct scene of engine_reference.c, by the engine's names; what the kernel has no number
-    for is 0, or exactly 1.
+    """Return struct scene of engine_reference.c, by the engine's names; numbers missing in the
+    kernel are 0, or exactly 1.
     """
     shape = ours.group.made.shape
     names = ours.group.made.kernel.COEFFICIENTS
@@ -159,8 +159,8 @@ def _scene(ours: Lanes) -> list[float]:
 
 
 def _defines(shape: Shape) -> Iterable[str]:
-    """What is fixed when the C is compiled: which terms there are. BenchError for a scene that
-    it has not.
+    """Yield the compile-time definitions of the C: the terms it has. BenchError for an unsupported
+    scene.
     """
     rubs = len(shape.contacts) == 1 and shape.contacts[0].velocity == 1
     if not rubs or any(shape.drift) or shape.rotor_laws or shape.stops or shape.waits:
@@ -193,7 +193,7 @@ def _library(shape: Shape, real: str, lanes: int) -> ctypes.CDLL:
 def compiled(
     source: Path, options: list[str], libraries: list[str], remedy: str = ""
 ) -> ctypes.CDLL:
-    """`source` as a library. BenchError without a compiler, or when it refuses."""
+    """Return `source` as a library. BenchError without a compiler, or if it fails."""
     compiler = shutil.which("cc")
     if compiler is None:
         raise BenchError("no C compiler `cc`: `make deps` installs one")

@@ -1,8 +1,8 @@
-"""What others need for the engine's scene: MuJoCo stepped under a 1 kHz controller, scipy's solver,
-and numba for one trial.
+"""Other tools on the engine's scene: MuJoCo stepped under a 1 kHz controller, scipy's solver, and
+numba for one trial.
 
-Each plays `ticks` ticks of trial 0 of `engine_scene` and returns its rms velocity, which shows that
-it is the same scene.
+Each plays `ticks` ticks of trial 0 of `engine_scene` and returns its rms velocity, which verifies
+that the scene is the same.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ WORLD = f"""
     <geom type="sphere" size="0.01" mass="{scene.SLIDER_KG}" contype="0" conaffinity="0"/>
   </body></body></worldbody></mujoco>
 """
-TOLERANCE = 1e-10  # of positions [m] that are read in counts of 5e-7
+TOLERANCE = 1e-10  # of positions [m], which are read in counts of 5e-7
 SMOOTH_M_PER_S = (
-    1e-4  # width of the tanh that stands for friction where a solver needs a derivative
+    1e-4  # width of the tanh that replaces friction for a solver that needs a derivative
 )
 
 Torque = "np.ndarray[tuple[int], np.dtype[np.float64]]"
@@ -60,14 +60,14 @@ class Controller:
         self._state = at_rest(0.0)
 
     def force(self, position_m: float) -> float:
-        """Answer to a sample."""
+        """Return the force for a sample."""
         counted = floor(position_m / scene.QUANTUM_M + 0.5) * scene.QUANTUM_M
         force, *_, self._state = render(counted, self._state, self._environment, self._coefficients)
         return force
 
 
 def mujoco_run(torque: Torque, ticks: int) -> Callable[[], float]:
-    """BenchError without MuJoCo."""
+    """Prepare a run in MuJoCo. BenchError without it."""
     try:
         import mujoco
     except ImportError as error:
@@ -94,7 +94,9 @@ def mujoco_run(torque: Torque, ticks: int) -> Callable[[], float]:
 
 
 def solve_ivp_run(torque: Torque, ticks: int) -> Callable[[], float]:
-    """BenchError without scipy. Friction is smoothed, as a solver with step control needs it."""
+    """Prepare a run in scipy. BenchError without it. Friction is smoothed for the step control of
+    the solver.
+    """
     try:
         from scipy.integrate import solve_ivp
     except ImportError as error:
@@ -125,7 +127,7 @@ def solve_ivp_run(torque: Torque, ticks: int) -> Callable[[], float]:
 
 
 class ScalarNumba:
-    """The same kernel text for one trial at a time: what numba makes of it without lanes."""
+    """The same kernel source for one trial at a time: numba without lanes."""
 
     def __init__(self, ours: scene.Lanes) -> None:
         made = ours.group.made

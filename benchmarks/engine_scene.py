@@ -1,5 +1,5 @@
-"""The scene that the engine's benchmarks share: two masses and a spring (4 states), friction,
-counts, 8 N limit, delay.
+"""The scene of the engine's benchmarks: two masses and a spring (4 states), friction, counts, 8 N
+limit, delay.
 """
 
 import time
@@ -47,21 +47,21 @@ NOISE = Excitation("noise", psd_n2_per_hz=2.5e-5)
 
 
 def model(*without: str) -> Model:
-    """The device without the effects of these keys."""
+    """Return the device without the effects of these keys."""
     return compose_device(
         "all effects", [effect for effect in EFFECTS if effect.key not in without]
     )
 
 
 def environments(count: int) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
-    """K, B, M of trials that are stable on that device, (count, 3); more of them begin with the
+    """Return K, B, M of stable trials on that device, (count, 3); a larger count begins with the
     same.
     """
     return np.random.default_rng(0).uniform((0.0, 0.0, -0.002), (100.0, 0.5, 0.005), (count, 3))
 
 
 class Lanes:
-    """A full group of the engine that runs `ticks` ticks whenever it is called, sums only."""
+    """A full group of the engine that runs `ticks` ticks on every call, sums only."""
 
     def __init__(
         self,
@@ -99,8 +99,8 @@ class Lanes:
 
 
 def least_cpu_s(runs: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """CPU time of each [s], all interleaved so that other load meets all alike: the least of
-    all rounds.
+    """Return the CPU time of each [s], minimum of all rounds; they are interleaved so that other
+    load affects all alike.
     """
     least = {name: float("inf") for name in runs}
     for name in [*runs, *(list(runs) * rounds)]:

@@ -1,9 +1,9 @@
-"""Trials per second of a map in a pool of processes and on a Dask cluster, over those on threads of
+"""Trials per second of a map in a pool of processes and on a Dask cluster, relative to threads of
 this process.
 
 The same map each time, trials of 90 s, kernels warm, pools running: one worker of one thread a
-core. They take turns, and the least time of each counts, so that what other programs take hits all
-alike. The map is long against a task, since at its end one core waits for the last of them.
+core. They take turns, and the minimum time of each counts, so that other programs affect all alike.
+The map is long compared with a task, since at its end one core waits for the last one.
 """
 
 import time
@@ -27,20 +27,20 @@ from hapticd.zwidth.store import TrialStore
 TARGETS = targets.of("executors")
 SCENE = "fig7"
 ROUNDS = 10
-ENOUGH_S = 40.0  # after which no round is begun, on a machine that is busy with other things
-NEAR = 0.6  # of the boundary: all the map, in one lot
+ENOUGH_S = 40.0  # after which no round begins, on a busy machine
+NEAR = 0.6  # of the boundary: the whole map, in one batch
 # tasks before, and in a round
 WARM = 4
 TASKS = 20
 
 
 def measure() -> Iterator[Figure]:
-    """Both ratios; `value` is the pool's trials a second, `reference` that of the threads."""
+    """Yield both ratios; `value` is the pool's trials a second, `reference` that of the threads."""
     with ExitStack() as stack:
         begin = time.perf_counter()
         pools: dict[str, Executor | None] = {"thread": None}
         pools["executor_process"] = stack.enter_context(executor("process"))
-        for pool in pools.values():  # before Dask changes the environment that processes begin with
+        for pool in pools.values():  # before Dask changes the environment of new processes
             _taken_s(_map(WARM), pool)
         pools["executor_dask"] = stack.enter_context(executor(_cluster(stack)))
         _taken_s(_map(WARM), pools["executor_dask"])
@@ -63,7 +63,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _cluster(stack: ExitStack) -> str:
-    """A cluster of processes, closed with `stack`; its name as an executor."""
+    """Start a cluster of processes, closed with `stack`; return its name as an executor."""
     try:
         from distributed import LocalCluster
 
@@ -78,7 +78,7 @@ def _cluster(stack: ExitStack) -> str:
 
 
 def _map(tasks: int) -> MapPlan:
-    """A map of about so many tasks, on both sides of the boundary."""
+    """Return a map of about `tasks` tasks, on both sides of the boundary."""
     scene = load_scene(SCENE)
     axes = (
         np.linspace(200.0, 1200.0, tasks),
@@ -89,7 +89,7 @@ def _map(tasks: int) -> MapPlan:
 
 
 def _taken_s(plan: MapPlan, pool: Executor | None) -> float:
-    """Wall seconds of the whole map, none of it known before."""
+    """Return the wall seconds of the whole map, without earlier results."""
     begin = time.perf_counter()
     made = run_map(plan, TrialStore(None), executor=pool).made
     assert made == plan.trials

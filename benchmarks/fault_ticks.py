@@ -1,19 +1,19 @@
-"""From the physical cause of each fault to no force at the simulated motor, in ticks.
+"""Ticks from the physical cause of each fault to zero force at the simulated motor.
 
 A servo holds a handle 1 to 8 mm off with K = 200 to 600 N/m; the fault is caused, and the motor is
-watched in every piece that the plant plays. The figure is the worst of SEEDS seeds, which vary
-stiffness, place, stop ramp's phase and what else the fault leaves open. Its yardstick is what the
-fault's page says: the ticks within which it is noticed, and RAMP_TICKS for the ramp and the way to
-the motor. Virtual time: the figure is the same on every machine.
+observed in every piece that the plant plays. The figure is the worst of SEEDS seeds, which vary
+stiffness, place, phase of the stop ramp and the other free parameters of the fault. Its yardstick
+is the fault's page: the ticks within which it is noticed, and RAMP_TICKS for the ramp and the path
+to the motor. Virtual time: the figure is the same on every machine.
 
     page      docs/faults/CODE.md: "Noticed within N ticks"
-    cause     the moment in which the OUT is tried that the fault strikes, the command is posted,
-              the host pauses, the heartbeat stops, the handle is too fast, the clamp is first met
+    cause     the moment of the affected OUT attempt, of the command, of the pause of the host, of
+              the last heartbeat, of the overspeed, or of the first clamped force
 
 Not here: `not_finite`, which no setting within its limits can cause; `energy`, whose cause is a sum
-and no moment; homing's own faults, which are verdicts on a search and have its time-out.
+without a moment; homing's own faults, which are verdicts on a search with its time-out.
 
-What would break it: a fault that is caused and says another code (the figure says which).
+Limitations: a fault that leads to another code (the figure reports it).
 """
 
 from collections.abc import Callable, Iterator
@@ -52,15 +52,15 @@ PAGES = Path(__file__).resolve().parents[1] / "docs" / "faults"
 SEEDS = 50
 RAMP_TICKS = 22  # 20 of the ramp, and two to the motor
 ENABLE_S = 0.02
-HELD_TICKS = 60  # until the force stands
+HELD_TICKS = 60  # until the force is steady
 WATCHDOG_MS = 20.0  # of a usual board
 FASTEST_M_PER_S = 20.0
 OVERSPEED_M_PER_S = 14.0
-ENOUGH_TICKS = 200  # beyond what the page says
+ENOUGH_TICKS = 200  # beyond the ticks of the page
 
 
 class Rig:
-    """A servo under force, and when its motor last had any."""
+    """A servo under force, and the last moment of force at its motor."""
 
     def __init__(self, stack: LockStep, random: Random) -> None:
         self.stack = stack
@@ -87,7 +87,7 @@ class Rig:
         self.axis.plant = self.axis.plant._replace(step=watched)
 
     def hold(self, stiffness: float) -> None:
-        """Enable, and wait until the force stands."""
+        """Enable, and wait until the force is steady."""
         stack = self.stack
         stack.run(5)
         stack.do(Command.SET, {Value.STIFFNESS: stiffness, Value.RAMP_S: 0.0})
@@ -95,7 +95,7 @@ class Rig:
         stack.run(HELD_TICKS + self.random.randint(0, 10))
 
     def go_on(self) -> None:
-        """The board lives on, whoever talks to it: left alone for long it would stand still."""
+        """Advance the board without a transfer: otherwise it would stand still."""
         self.board._advance(self.stack.clock.now_ns())
 
     def run(self, ticks: int) -> None:
@@ -104,17 +104,17 @@ class Rig:
             self.go_on()
 
     def caused_now(self) -> None:
-        """The cause is this moment, a random part of a tick before the next."""
+        """Set the cause to this moment, a random part of a tick before the next."""
         self.cause_ns = self.stack.clock.now_ns()
 
     @property
     def code(self) -> str:
-        """The fault that is latched."""
+        """The latched fault."""
         return BY_NUMBER[self.stack.loop.state[SETTLED].plan.fault].code
 
 
 class Watch(NamedTuple):
-    """A cause that is seen at the plant: the force at its limit, the handle faster than allowed."""
+    """A cause observed at the plant: the force at its limit, the handle faster than allowed."""
 
     force_n: float = inf
     speed_m_per_s: float = inf
@@ -124,16 +124,16 @@ class Watch(NamedTuple):
 
 
 class Scenario(NamedTuple):
-    """How a fault is caused: `board(params, random)` before, `strike(rig)` while the force acts."""
+    """The cause of a fault: `board(params, random)` before, `strike(rig)` while the force acts."""
 
     code: str
     board: Callable[[BoardParams, Random], BoardParams] = lambda board, random: board
     strike: Callable[[Rig], None] = lambda rig: None
-    hardware: bool = False  # what a host loses counts only where someone can be hurt
+    hardware: bool = False  # lost slots of a host count only with real hardware
 
 
 def struck(kind: str, values: tuple[float, ...] = (0.0,), count: int = 1) -> Any:
-    """A board on which that injection strikes once the force stands."""
+    """Return a board with that injection once the force is steady."""
 
     def board(params: BoardParams, random: Random) -> BoardParams:
         tick = 120 + random.randint(0, 10)
@@ -144,7 +144,7 @@ def struck(kind: str, values: tuple[float, ...] = (0.0,), count: int = 1) -> Any
 
 
 def next_strike(rig: Rig) -> None:
-    """Go on to the OUT that is struck; its attempt is the cause."""
+    """Continue to the affected OUT; its attempt is the cause."""
     number = rig.port._injections[0].tick
     deliver = rig.stack.backend.deliver
 
@@ -157,7 +157,7 @@ def next_strike(rig: Rig) -> None:
 
 
 def pause(low_ms: float, high_ms: float, rig: Rig) -> None:
-    """The host stands still."""
+    """Pause the host."""
     rig.caused_now()
     until_ns = rig.cause_ns + round(rig.random.uniform(low_ms, high_ms) * NS_PER_MS)
     while rig.stack.clock.time_ns < until_ns:
@@ -166,7 +166,7 @@ def pause(low_ms: float, high_ms: float, rig: Rig) -> None:
 
 
 def stopped(rig: Rig) -> None:
-    """By a command, or by the stop word alone."""
+    """Stop by a command, or by the stop word alone."""
     rig.caused_now()
     if rig.random.random() < 0.5:
         rig.stack.command(Command.STOP)
@@ -175,7 +175,7 @@ def stopped(rig: Rig) -> None:
 
 
 def silent(rig: Rig) -> None:
-    """The gateway's last beat was now."""
+    """Send the gateway's last heartbeat now."""
     rig.stack.run(1)
     rig.caused_now()
     rig.stack.gateway.beat(rig.stack.clock.now_ns())
@@ -183,7 +183,7 @@ def silent(rig: Rig) -> None:
 
 
 def pushed(params: BoardParams, random: Random) -> BoardParams:
-    """A hand that throws the handle faster than the device allows."""
+    """Return a board with a hand that throws the handle faster than the device allows."""
     held, *_ = params.touch.hands if params.touch else ()
     hand = HandParams("push", start_s=0.13, force_n=random.uniform(19.0, 21.0))
     touch = TouchParams(hands=(replace(held, duration_s=0.13), hand))
@@ -197,12 +197,12 @@ def thrown(rig: Rig) -> None:
 
 
 def free(params: BoardParams, random: Random) -> BoardParams:
-    """A light handle that nobody holds."""
+    """Return a board with a light handle and no hand."""
     return replace(params, touch=None, viscous_ns_per_m=0.1)
 
 
 def unstable(rig: Rig) -> None:
-    """K = 800 N/m without damping; the first force at its limit is the cause."""
+    """Set K = 800 N/m without damping; the first force at its limit is the cause."""
     rig.watch = Watch(force_n=rig.limit_n * 0.999)
     rig.stack.do(Command.SET, {Value.STIFFNESS: 800.0, Value.RAMP_S: 0.0})
 
@@ -228,7 +228,9 @@ CASES = {scenario.code: scenario for scenario in SCENARIOS}
 
 
 def stated_ticks(code: str) -> int:
-    """Ticks within which the fault is noticed, as its page says. BenchError if it does not."""
+    """Return the ticks within which the fault is noticed, from its page. BenchError
+    without them.
+    """
     found = search(r"Noticed within (\d+) ticks?\b", (PAGES / f"{code}.md").read_text())
     if found is None:
         raise BenchError(f"docs/faults/{code}.md does not say within how many ticks")
@@ -236,7 +238,7 @@ def stated_ticks(code: str) -> int:
 
 
 def parameters(scenario: Scenario, random: Random) -> tuple[ServoParams, BoardParams]:
-    """Servo and board of one seed."""
+    """Return servo and board of one seed."""
     stand = settings()
     servo = servo_params(stand, "fault")
     board = board_params(stand)
@@ -246,12 +248,12 @@ def parameters(scenario: Scenario, random: Random) -> tuple[ServoParams, BoardPa
         board.position_m_per_count,
         offset_count=round(sign * random.uniform(0.001, 0.008) / board.position_m_per_count),
     )
-    # this trial is of one fault: the energy that a throw or a limit cycle gives is another
+    # this trial is of one fault: the energy of a throw or a limit cycle is another
     device = replace(servo.device, position=off, physical_damping_ns_per_m=None)
-    # and both are reached before a step of the encoder is one that no hand can make
+    # both are reached before the encoder steps faster than any hand
     fastest = {"overspeed": OVERSPEED_M_PER_S}.get(scenario.code)
     device = replace(device, overspeed_m_per_s=fastest, speed_limit_m_per_s=FASTEST_M_PER_S)
-    if scenario.code in ("force_at_limit", "overspeed"):  # bend the motion as glitches do
+    if scenario.code in ("force_at_limit", "overspeed"):  # their motion bends like a glitch
         device = replace(device, acceleration_limit_m_per_s2=inf)
     safety = replace(servo.safety, enable_ramp_s=ENABLE_S)
     held = TouchParams(hands=(HandParams("hold", stiffness_n_per_m=2e4, damping_ns_per_m=20.0),))
@@ -268,9 +270,9 @@ def parameters(scenario: Scenario, random: Random) -> tuple[ServoParams, BoardPa
 
 
 def ticks_of(scenario: Scenario, seed: int) -> float:
-    """From the cause to the last moment with force at the motor, in ticks.
+    """Return the ticks from the cause to the last moment with force at the motor.
 
-    BenchError if another fault came, or none.
+    BenchError for another fault, or none.
     """
     random = Random(f"{scenario.code} {seed}")
     servo, board = parameters(scenario, random)
@@ -289,7 +291,7 @@ def ticks_of(scenario: Scenario, seed: int) -> float:
 
 
 def measure() -> Iterator[Figure]:
-    """The worst of all seeds, for each fault."""
+    """Yield the worst of all seeds, for each fault."""
     assert set(CASES) <= set(BY_CODE)
     for code, scenario in CASES.items():
         worst, seed = max((ticks_of(scenario, seed), seed) for seed in range(SEEDS))

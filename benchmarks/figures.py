@@ -1,17 +1,16 @@
 """One measured number and its judgement, and the list of them in build/bench.json.
 
-A target is text that people read and `judge` parses:
+A target is text for people that `judge` parses:
 
-    '<= 1.25x', '>= 30x'   the ratio to the yardstick of the same run: what says something on any
-                           machine
-    '<= 25'                the value itself: counts and bytes, which no neighbour changes
-    'p >= 0.01'            the probability of so many more events than the yardstick has, if both
-                           had the same rate
-    ''                     nothing: the figure is told as information
+    '<= 1.25x', '>= 30x'   the ratio to the yardstick of the same run: meaningful on any machine
+    '<= 25'                the value itself: counts and bytes, independent of other load
+    'p >= 0.01'            the probability of at least that many more events than the yardstick's,
+                           if both had the same rate
+    ''                     none: the figure is information
 
-The ratio is value / reference; for a speed-up, where both are times, the caller gives it the other
-way round. What would break it: a time judged by its value, since another machine of the same kind
-then misses by its speed alone.
+The ratio is value / reference; for a speed-up, where both are times, the caller passes the inverse.
+Limitations: a time judged by its value, since another machine of the same kind then misses by its
+speed alone.
 """
 
 import json
@@ -29,7 +28,7 @@ _TARGET = re.compile(r"(p\s*)?(<=|>=)\s*(-?\d+(?:\.\d+)?)\s*(x?)")
 class Figure:
     """A row of build/bench.json; `ok` is None for information.
 
-    `note` says why there is no value, or what the machine refused; `p` only where a target asks for
+    `note` gives the reason for a missing value, or the refused rights; `p` only if a target needs
     it. `reference` is the number of the `yardstick`; that and `reason` come from the table of
     targets.
     """
@@ -47,7 +46,7 @@ class Figure:
     reason: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """The row; a note and p only where there is something to say."""
+        """Return the row; note and p only if they are set."""
         return {
             key: value
             for key, value in asdict(self).items()
@@ -58,9 +57,9 @@ class Figure:
 def judge(
     target: str, value: float | None, ratio: float | None, p: float | None = None
 ) -> bool | None:
-    """Whether `target` is reached; None where there is none.
+    """Return whether `target` is reached; None without one.
 
-    ValueError for a target that is not '<= number' or '>= number', with an x behind it or a p
+    ValueError for a target that is not '<= number' or '>= number', with an optional x after it or p
     before it.
     """
     if not target:
@@ -88,8 +87,8 @@ def compared(
     ratio: float | None = None,
     p: float | None = None,
 ) -> Figure:
-    """The figure for `value`, judged alone, by `ratio` (value / reference unless given) or by
-    `p`.
+    """Return the figure for `value`, judged alone, by `ratio` (value / reference unless given) or
+    by `p`.
     """
     if ratio is None and reference:
         ratio = value / reference
@@ -99,21 +98,19 @@ def compared(
 
 
 def refused(name: str, target: str, note: str) -> Figure:
-    """The figure that could not be measured; `note` says why and what to do."""
+    """Return the figure that could not be measured; `note` gives the reason and the remedy."""
     return Figure(name, None, "", None, None, target, False, note)
 
 
 def merge(old: Iterable[dict[str, Any]], new: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """`old` rows in their order with those that were measured again replaced, then the rows
-    that are new.
-    """
+    """Return the `old` rows in their order, replaced by new measurements, then the added rows."""
     fresh = {row["name"]: row for row in new}
     kept = [fresh.pop(row["name"], row) for row in old]
     return kept + list(fresh.values())
 
 
 def load(path: Path) -> list[dict[str, Any]]:
-    """Rows of an earlier run; none if there is no file or it is not ours."""
+    """Return the rows of an earlier run; none without a valid file."""
     try:
         rows = json.loads(path.read_text())
     except (OSError, ValueError):
@@ -126,7 +123,7 @@ def load(path: Path) -> list[dict[str, Any]]:
 
 
 def save(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Write `rows` whole or not at all."""
+    """Write `rows` completely or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     fresh = path.with_name(path.name + ".new")
     fresh.write_text(json.dumps(rows, indent=1) + "\n")

@@ -1,10 +1,10 @@
-"""A bare forwarder of telemetry, and its subscriber: what packing and sending the same maps costs,
-and nothing else.
+"""A minimal forwarder of telemetry, and its subscriber: only the cost of packing and sending the
+same maps.
 
 python -m benchmarks.forward_worker forward INSTANCE ENDPOINT   reads the instance's ring, sends on
-                                                                ENDPOINT until it is ended
-python -m benchmarks.forward_worker listen ENDPOINT SECONDS     says `{}` at the first block, then
-                                                                how many records it got
+                                                                ENDPOINT until terminated
+python -m benchmarks.forward_worker listen ENDPOINT SECONDS     prints `{}` at the first block, then
+                                                                the number of its records
 """
 
 import json
@@ -18,14 +18,14 @@ from hapticd.core.params import GatewayParams
 from hapticd.mailbox import files, layout
 from hapticd.protocol.telemetry import TICK_DESCR
 
-PAUSE_S = 0.01  # as the gateway's
+PAUSE_S = 0.01  # like the gateway's
 TOPIC = b"servo.raw"
 BATCH = GatewayParams().batch
 SILENCE_MS = 10_000
 
 
 def forward(instance: str, endpoint: str) -> None:
-    """Every 10 ms the whole batches that are there, as the map that `servo.raw` is."""
+    """Send the complete batches every 10 ms, as the map of `servo.raw`."""
     page = files.open_map(
         files.runtime_folder(instance) / files.TELEMETRY, layout.TELEMETRY_BYTES, writable=False
     )
@@ -64,7 +64,7 @@ def forward(instance: str, endpoint: str) -> None:
 
 
 def listen(endpoint: str, seconds: str) -> None:
-    """Count what comes in so many seconds after the first block."""
+    """Count the records of `seconds` after the first block."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.SUB)
     socket.setsockopt(zmq.RCVTIMEO, SILENCE_MS)

@@ -1,9 +1,9 @@
 """A 90 s trial from simulation to spectra, without a record: the scene of `engine` with 4 states,
 float32, one core.
 
-CPU time of one thread for a group of 64 trials beside the C of the same scene, which leaves every
-sample in the cache, and FFTW's spectra of as many records, force transformed before; in turns,
-least of the rounds of each.
+CPU time of one thread for a group of 64 trials compared with the C of the same scene, which stores
+every sample in the cache, and FFTW's spectra of as many records, force transformed before; in
+turns, minimum of the rounds of each.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,17 +27,17 @@ MS = 1e3
 
 
 class Here(Executor):
-    """Does each task at once, on this thread."""
+    """Runs each task at once, on this thread."""
 
     def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
-        """As any executor."""
+        """Run the task and return its result."""
         done: Future[Any] = Future()
         done.set_result(task(*args, **kwargs))
         return done
 
 
 def measure() -> Iterator[Figure]:
-    """All interleaved; kernels compiled and the torque made before."""
+    """Measure all interleaved; kernels compiled and the torque made before."""
     device = model()
     points = environments(TRIALS)
     samples = round(SECONDS * PROBE_RATE_HZ)
@@ -69,7 +69,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _in_c(device: Any) -> dict[str, CReference]:
-    """The C at each lane count, leaving every sample."""
+    """Return the C at each lane count, storing every sample."""
     check_same(
         Lanes(device, "f32", TICKS),
         CReference(Lanes(device, "f32", TICKS), "f32", C_LANES["f32"][0]),

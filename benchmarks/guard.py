@@ -1,13 +1,13 @@
-"""What the guard asks of its worker: whether a way is safe, by how much a display is, and a whole
-verdict as the gateway gets it.
+"""Cost of the guard's worker: whether a path is safe, the margin of a display, and a whole verdict
+for the gateway.
 
-    guard_path_ratio     yes or no to 20 points at a level that is kept: eigenvalues and circles
-    guard_margin_ratio   margin, worst frequency and radius of a display not asked for before
-    guard_verdict_ms     a change asked of the worker process over its socket, margin, allowed
-                         ranges and least level included
+    guard_path_ratio     yes or no to 20 points at a kept level: eigenvalues and circles
+    guard_margin_ratio   margin, worst frequency and radius of a new display
+    guard_verdict_ms     a change sent to the worker process over its socket, with margin, allowed
+                         ranges and minimum level
 
-The yardstick is a bare ZeroMQ echo between two processes, of a message as long as request and
-answer are on average. All in turns; no display is asked about twice.
+The yardstick is an empty ZeroMQ echo between two processes, with the average length of request and
+answer. All in turns; every display is new.
 """
 
 import os
@@ -67,7 +67,7 @@ REQUEST = {
 
 
 def measure() -> Iterator[Figure]:
-    """Medians over blocks of the median of each."""
+    """Yield medians over blocks of the median of each."""
     asked = Override(("device",), DEVICE, "benchmark")
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as name:
         folder = Path(name)
@@ -124,7 +124,7 @@ def _receive(line: socket.socket) -> Any:
 
 @contextmanager
 def _guard(folder: Path) -> Iterator[socket.socket]:
-    """The worker's line, after its hello."""
+    """Yield the worker's socket, after its hello."""
     ours, theirs = socket.socketpair()
     command = [sys.executable, "-m", "hapticd.guard.main", str(folder)]
     process = subprocess.Popen(

@@ -1,21 +1,21 @@
-"""The guard attacked: random requests under refuse, clamp and follow, judged by somebody else.
+"""The guard attacked: random requests under refuse, clamp and follow, judged independently.
 
-    guard_unsafe          distinct environments in force that ring without a hand, in a few dozen
-                          hands, or in the hand that shakes the point 5 % further out
+    guard_unsafe          distinct environments in force that are unstable without a hand, in a few
+                          dozen hands, or in the hand that destabilises the point 5 % further out
     guard_flown           of 200 sequences through gateway, servo and board, in a hand that would
-                          shake what lies 5 % further out and with a person who moves, those in
-                          which something rings, energy comes out or a fault ends it
-    guard_false_refusals  of the requests whose 5 %-further point no hand was found to shake, the
-                          share that was refused, in percent
+                          destabilise the point 5 % further out and with a person who moves, those
+                          with an instability, an energy gain or a fault
+    guard_false_refusals  of the requests whose 5 %-further point no hand destabilises, the refused
+                          share, in percent
 
     python benchmarks/guard_attack.py                     as `make bench`
     python benchmarks/guard_attack.py --sequences 100 --first-seed 5000
 
 Two devices: the shipped simulated display, and the calibrated one of Weir et al. 2008 with its
-smoothing and lags, without friction. The delay that is told to the guard is the true one, or for
-every fourth sequence a larger one, as a p99 of a busy host is.
+smoothing and lags, without friction. The delay passed to the guard is the true one, or for every
+fourth sequence a larger one, like a p99 of a busy host.
 
-What would break it: a device whose numbers here are not those of its file (a test compares).
+Limitations: a device whose numbers here differ from those of its file (a test compares them).
 """
 
 import argparse
@@ -52,10 +52,10 @@ from hapticd.settings.toml import shipped
 TARGETS = targets.of("guard_attack")
 SEQUENCES = 2000
 FLIGHTS = 200
-CHUNK = 40  # sequences that are judged together
-LARGER_PERIODS = 1.0  # what every third sequence tells the guard of the delay
-WEIR_EVERY = 5  # one sequence in so many is on the calibrated display
-WEIR_JUDGED = 10  # one point in so many is judged there: it costs ten times as much
+CHUNK = 40  # sequences judged together
+LARGER_PERIODS = 1.0  # delay passed to the guard in every fourth sequence
+WEIR_EVERY = 5  # one sequence in WEIR_EVERY is on the calibrated display
+WEIR_JUDGED = 10  # one point in WEIR_JUDGED is judged there: it costs ten times as much
 SHIPPED = Display(rotor_kg=0.008, rotor_ns_per_m=0.36, delay_periods=0.125)
 WEIR = Display(
     rotor_kg=0.0055,
@@ -82,18 +82,18 @@ class Device(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What some sequences gave."""
+    """Result of several sequences."""
 
-    points: int  # that were judged
+    points: int  # judged points
     unsafe: list[tuple[int, Point]]  # with the seed
-    safe_further: int  # requests whose 5 %-further point no hand shakes
-    refused: list[Asked]  # those of them that were refused
+    safe_further: int  # requests whose 5 %-further point no hand destabilises
+    refused: list[Asked]  # the refused ones of them
     actions: Counter[str]
 
 
 @lru_cache(maxsize=2)
 def device(name: str = "simulated") -> Device:
-    """The shipped device of that name, and its guard."""
+    """Return the shipped device of that name, and its guard."""
     asked = Override(("device",), name, "benchmark")
     stand = load(shipped("config") / "hapticd.toml", (asked,))
     setup = from_plain(GuardSetup, resolve(stand, "guard")[files.GUARD_JSON])
@@ -103,12 +103,12 @@ def device(name: str = "simulated") -> Device:
 
 
 def shipped_judge() -> Judge:
-    """The judge of the shipped simulated display."""
+    """Return the judge of the shipped simulated display."""
     return device().judge
 
 
 def attack(seeds: Sequence[int], judge: Answering | None = None) -> Found:
-    """The sequences of `seeds`, all on one device, flown under its guard, or `judge`, and judged
+    """Fly the sequences of `seeds`, all on one device, under its guard, or `judge`, and judge them
     together.
     """
     weir = _on_weir(seeds[0])
@@ -120,7 +120,7 @@ def attack(seeds: Sequence[int], judge: Answering | None = None) -> Found:
     ends = {point: seed for seed, one in flown for point in one.ends}
     unsafe = where.bench.unsafe(list(came), list(ends))
     seen = came | ends
-    # one that is refused for the larger delay is not refused falsely
+    # a refusal for the larger delay is not a false one
     true = [each for seed, each in flown if _told(seed) is None]
     asked = [one for each in true for one in each.asked if not one.enable]
     shaken = _shaken(where.bench, asked)
@@ -135,7 +135,7 @@ def attack(seeds: Sequence[int], judge: Answering | None = None) -> Found:
 
 
 def fly_one(seed: int) -> Flight:
-    """The flight of `seed` on the shipped display."""
+    """Return the flight of `seed` on the shipped display."""
     where = device()
     return flown(seed, where.judge.answer, where.bench)
 
@@ -145,19 +145,19 @@ def _on_weir(seed: int) -> bool:
 
 
 def _told(seed: int) -> float | None:
-    """Delay that the guard is told, periods; None: it goes by its model."""
+    """Return the delay passed to the guard, in periods; None: that of its model."""
     return LARGER_PERIODS if seed % 4 == 1 else None
 
 
 def chunks(sequences: int, first: int) -> list[list[int]]:
-    """Seeds in groups on one device each."""
+    """Return seeds in groups on one device each."""
     seeds = range(first, first + sequences)
     kinds = ([seed for seed in seeds if _on_weir(seed) is weir] for weir in (False, True))
     return [kind[place : place + CHUNK] for kind in kinds for place in range(0, len(kind), CHUNK)]
 
 
 def _shaken(bench: Bench, asked: list[Asked]) -> list[bool]:
-    """Whether what was asked for, 5 % further out, is shaken by a hand, free or in its wall."""
+    """Return whether some hand destabilises each request 5 % further out, free or in its wall."""
     further = [
         [point.scaled(FURTHER) for point in (one.point, one.contact) if point is not None]
         for one in asked
@@ -172,7 +172,7 @@ def _shaken(bench: Bench, asked: list[Asked]) -> list[bool]:
 
 
 def measure(sequences: int = SEQUENCES, first: int = 0, flights: int = FLIGHTS) -> Iterator[Figure]:
-    """All figures."""
+    """Yield all figures."""
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         found = list(pool.map(attack, chunks(sequences, first)))
     unsafe = [one for each in found for one in each.unsafe]
@@ -215,7 +215,7 @@ def _flown(flights: int, first: int) -> Figure:
 
 
 def main() -> None:
-    """The attack alone."""
+    """Run the attack alone."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--sequences", type=int, default=SEQUENCES)
     parser.add_argument("--first-seed", type=int, default=0)

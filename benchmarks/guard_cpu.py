@@ -1,8 +1,7 @@
-"""What it costs the gateway to tell what is passive, twice a second, to somebody who listens.
+"""Cost for the gateway of publishing the passive set, twice a second, to a subscriber.
 
-The yardstick is the same gateway while nobody listens to `guard`, in stretches that take turns.
-Force is on and a stiff environment in force; the worker's own time is not the gateway's, and is
-told beside it.
+The yardstick is the same gateway without a subscriber of `guard`, in alternating stretches. Force
+is on and a stiff environment in force; the worker's own time is reported separately.
 """
 
 import time
@@ -18,12 +17,12 @@ from hapticd.client import Client
 TARGETS = targets.of("guard_cpu")
 ROUNDS = 6
 STRETCH_S = 5.0
-SLACK_S = 1.5  # until the gateway has seen a subscription, or its end
-LEAST_SHARE = 0.8  # of the messages that should come: 2 a second
+SLACK_S = 1.5  # until the gateway has noticed a subscription, or its end
+LEAST_SHARE = 0.8  # of the expected messages: 2 a second
 
 
 def measure() -> Iterator[Figure]:
-    """CPU time of the gateway with and without a subscriber of `guard`."""
+    """Yield the CPU time of the gateway with and without a subscriber of `guard`."""
     with daemon.running("guard-cpu") as instance, Client(instance) as client:
         _until_up(client)
         client.set(K=500, B=2, active_damping=1.74)
@@ -55,7 +54,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _spent(pid: int, seconds: float) -> float:
-    """Share of a core that process `pid` takes for that long."""
+    """Return the share of a core used by process `pid` for that time."""
     before = cpu_s(pid)
     begin = time.monotonic()
     time.sleep(seconds)

@@ -1,21 +1,21 @@
-"""Guarded displays in motion: a hand without loss, a person who moves, and the energy at the motor.
+"""Guarded displays in motion: a lossless hand, a person who moves, and the energy at the motor.
 
 A flight is the servo and the simulated board in lock-step. The hand is part of the composed plant
-(an effect, passive by its numbers); the person is a force on the rotor, so that the work is known
-that is put in: strikes, pushes, a grip whose place wanders. Everything is judged where the plant is
-played, in pieces of at most T / 4, not from the servo's own ledger:
+(an effect, passive by its numbers). The person is a force on the rotor, so that the input work is
+known: strikes, pushes, a grip whose place wanders. All is judged where the plant is played, in
+pieces of at most T / 4, not from the servo's own ledger:
 
     W + dE <= integral c v^2 dt + 5 mJ + booked        W work of the virtual force on the device,
                                                        E = K x^2 / 2 + M v^2 / 2 of the display
-    (m + M) v^2 / 2 + (K + arm) x^2 / 2                what a passive display leaves of the motion,
+    (m + M) v^2 / 2 + (K + arm) x^2 / 2                bound of the motion with a passive display,
         <= person + 5 mJ + booked                      and so of |v| and |x|; M where it is < 0
 
-m with what the hand adds to the rotor, arm its spring to the wall; c is the physical damping and
-the level in effect, `booked` what rising K and M brought in, dK x^2 / 2 and dM v^2 / 2 of every
-upward step.
+m includes the mass that the hand adds to the rotor, arm is its spring to the wall; c is the
+physical damping plus the level in effect, `booked` the energy of rising K and M, dK x^2 / 2 and dM
+v^2 / 2 of every upward step.
 
-What would break it: a force that the display stores and E does not know (no wall is flown), or a
-piece so long that the trapezoid of v^2 is no longer the integral.
+Limitations: a force stored by the display outside E (no wall is flown), or a piece so long that the
+trapezoid of v^2 is no longer the integral.
 """
 
 from collections.abc import Callable
@@ -37,9 +37,10 @@ from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
-SLACK_J = 0.005  # 5 mJ, what comes and goes within a swing
+SLACK_J = 0.005  # 5 mJ, exchanged within a swing
 HIGHEST_NS_PER_M = 10.0
-# shakes K = 500 N/m, B = 2 N s/m below 0.957 N s/m of active damping; 4.7 % a tick without any
+# makes K = 500 N/m, B = 2 N s/m unstable below 0.957 N s/m of active damping; 4.7 % a tick without
+# any
 GRIPPING = PassiveHand(
     mass_kg=0.3,
     damping_ns_per_m=2.0,
@@ -50,7 +51,7 @@ GRIPPING = PassiveHand(
 
 
 def rigid_board(hand: Effect | None, **changes: Any) -> BoardParams:
-    """The shipped simulated board, its rotor in `hand`."""
+    """Return the shipped simulated board, its rotor in `hand`."""
     shipped = board_params(settings())
     assert shipped is not None
     effects: list[Effect] = [
@@ -65,12 +66,12 @@ def rigid_board(hand: Effect | None, **changes: Any) -> BoardParams:
 
 
 def heavy(mass_kg: float, arm_n_per_m: float = 0.0) -> Effect:
-    """A hand that is a mass on the rotor, or a spring to the wall, or both."""
+    """Return a hand that is a mass on the rotor, or a spring to the wall, or both."""
     return Load(mass_kg=mass_kg, stiffness_n_per_m=arm_n_per_m)
 
 
 def plain_servo(enable_ramp_s: float = 0.1) -> ServoParams:
-    """The shipped servo with nothing rendered at the start."""
+    """Return the shipped servo with an empty environment at the start."""
     params = servo_params(settings(), "guard")
     start = type(params.environment)(workspace=params.environment.workspace)
     safety = replace(params.safety, enable_ramp_s=enable_ramp_s)
@@ -84,7 +85,7 @@ class Person(NamedTuple):
 
 
 def striking(times_s: tuple[float, ...], force_n: float = 2.0, length_s: float = 0.005) -> Person:
-    """Half sines of force from either side in turn."""
+    """Return half sines of force from either side in turn."""
 
     def force(now_s: float, position_m: float, velocity_m_per_s: float) -> float:
         for place, start_s in enumerate(times_s):
@@ -96,7 +97,9 @@ def striking(times_s: tuple[float, ...], force_n: float = 2.0, length_s: float =
 
 
 def moving(seed: int, until_s: float) -> Person:
-    """Pushes to and fro, strikes, and a soft grip that trembles; lets go at `until_s`."""
+    """Return pushes back and forth, strikes, and a soft grip with tremor; it lets go at
+    `until_s`.
+    """
     random = Random(f"person {seed}")
     strikes = sorted(random.uniform(0.1, until_s) for _ in range(8))
     hits = striking(tuple(strikes), random.uniform(0.5, 4.0))
@@ -183,5 +186,5 @@ class Balance:
 
 
 def records(stack: LockStep) -> np.ndarray:
-    """All records of `stack`."""
+    """Return all records of `stack`."""
     return np.frombuffer(b"".join(stack.blocks), DTYPE)

@@ -1,16 +1,16 @@
-"""Random requests through the gateway's command server, in the air: a hand that would shake what
-lies 5 % further out, and a person who moves.
+"""Random requests through the gateway's command server, in flight: with a hand that would
+destabilise the point 5 % further out, and a person who moves.
 
-The sequence of a seed is first done without a board (`guard_requests`); the last environment that
-stood in it gives the hand, a mass on the rotor or a spring to the wall. Then the same client asks
-the same at the real command server, in front of the servo and a board in that hand. A flight is in
-order if
+The sequence of a seed is first run without a board (`guard_requests`). Its last steady environment
+determines the hand, a mass on the rotor or a spring to the wall. Then the same client sends the
+same requests to the real command server, in front of the servo and a board in that hand. A flight
+passes if
 
-    nothing that the records show in force rings in a few dozen hands, or in this one
+    no environment in force in the records is unstable in a few dozen hands, or in this one
     the balance at the motor and the bound of the motion hold (`guard_flight`)
     no fault ends it
 
-What would break it: a wall, whose energy the balance does not know; the requests name none.
+Limitations: a wall, whose energy is not in the balance; the requests contain none.
 """
 
 from random import Random
@@ -40,15 +40,17 @@ COLUMNS = ("stiffness_n_per_m", "virtual_damping_ns_per_m", "mass_kg")
 
 
 class Flight(NamedTuple):
-    """What one flight gave."""
+    """Result of one flight."""
 
     seed: int
-    points: int  # environments in force that were judged
+    points: int  # judged environments in force
     wrong: list[str]
 
 
 def hand_of(seed: int, judge: Answering, bench: Bench) -> PlainHand:
-    """The hand of a seed: shakes 5 % beyond what its sequence ends in, if any hand does."""
+    """Return the hand of a seed: it destabilises the point 5 % beyond the end of its sequence, if
+    any hand does.
+    """
     ends = [point for point in fly(seed, judge, plain_servo()).ends if any(point[:3])]
     found = bench.proposed(ends[-1].scaled(FURTHER)) if ends else None
     if found is None:
@@ -58,7 +60,7 @@ def hand_of(seed: int, judge: Answering, bench: Bench) -> PlainHand:
 
 
 def flown(seed: int, judge: Answering, bench: Bench) -> Flight:
-    """The flight of `seed`."""
+    """Return the flight of `seed`."""
     random = Random(f"flight {seed}")
     hand = hand_of(seed, judge, bench)
     arm_n_per_m = float(hand.stiffness_n_per_m[0, 0])
@@ -81,7 +83,9 @@ def flown(seed: int, judge: Answering, bench: Bench) -> Flight:
 
 
 def in_force(found: np.ndarray) -> list[Point]:
-    """What records say was rendered and damped, each once; filters as they are by default."""
+    """Return the rendered and damped environments of the records, each once; filters have their
+    defaults.
+    """
     live = found[found["state"] == State.ENABLED]
     scaled = [live["gain"] * live[name] for name in COLUMNS]
     rows = np.stack((*scaled, live["active_damping_effect_ns_per_m"].astype(float)), axis=1)

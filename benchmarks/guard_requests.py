@@ -1,17 +1,17 @@
-"""Random requests to a guarded display, and every environment that comes into force by them.
+"""Random requests to a guarded display, and every resulting environment in force.
 
-A sequence is its seed: a policy, a margin's worth of requests (any of K, B, M, wall, filters,
-damping on, off or at a level, modes, ramps, some of them at a tick to come, enable and disable) and
-the pauses between them. What the guard answers is done on the servo's own plan (`servo.commands`,
-`servo.plan`): the same ramps, the same slew of the damping, the same schedule, tick by tick but
-without board and law. Stages are posted as the gateway posts them, when the damping in effect is
-what they wait for and the ramps before them have ended; a newer request takes the place of those
-that are left.
+A sequence is determined by its seed: a policy, a margin, a number of requests (any of K, B, M,
+wall, filters, damping on, off or at a level, modes, ramps, some of them at a future tick, enable
+and disable) and the pauses between them. The guard's answers are applied to the servo's own plan
+(`servo.commands`, `servo.plan`): the same ramps, the same slew of the damping, the same schedule,
+tick by tick but without board and law. Stages are posted as by the gateway, when the damping in
+effect has the required value and earlier ramps have ended; a newer request replaces the remaining
+ones.
 
-Kept are all environments while force is on, the gain included: free, and where a wall may be met
-with the wall's spring and damper added; on ramps every eighth tick, and what stands.
+Recorded are all environments while force is on, including the gain: free, and, if there is a wall,
+in contact with its spring and damper added; on ramps every eighth tick, and the steady ones.
 
-What would break it: a gateway that posts otherwise than here; some tests go through the real one.
+Limitations: a gateway that posts differently; some tests use the real one.
 """
 
 import sys
@@ -51,12 +51,12 @@ PLAIN = {
     "B": 4,
     "M": 3,
     "active_damping": 5,
-}  # kinds of parameters, and how often each comes
+}  # kinds of parameters, and their weights
 EVERYTHING = PLAIN | {"wall": 1, "filters": 1}
 REQUESTS = 10  # of a sequence
-EACH = 8  # ticks between two looks at a ramp
-LONGEST_WAIT = 1500  # ticks until everything has arrived
-VALUES = 2  # place in a posting
+EACH = 8  # ticks between two samples of a ramp
+LONGEST_WAIT = 1500  # ticks until all changes have arrived
+VALUES = 2  # index in a posting
 WALL = {
     Value.WALL_STIFFNESS: "stiffness_n_per_m",
     Value.WALL_VIRTUAL_DAMPING: "virtual_damping_ns_per_m",
@@ -66,14 +66,14 @@ WALL = {
 
 
 class Asked(NamedTuple):
-    """One request that the guard judged."""
+    """One request judged by the guard."""
 
     seed: int
     policy: str
     change: dict[str, Any]
-    point: Point  # that was asked for, free
+    point: Point  # the requested point, free
     contact: Point | None  # and in contact with its wall
-    filters: bool  # whether it asks for other filters
+    filters: bool  # whether it requests other filters
     enable: bool
     action: str
     clamped: bool
@@ -81,15 +81,15 @@ class Asked(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What one sequence gave."""
+    """Result of one sequence."""
 
     asked: list[Asked]
-    points: list[Point]  # distinct ones that were in force
-    ends: list[Point]  # those of them that stood
+    points: list[Point]  # distinct ones in force
+    ends: list[Point]  # the steady ones of them
 
 
 def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, Any]:
-    """The display in force at `tick`, or for None where everything on its way arrives."""
+    """Return the display in force at `tick`, or for None the target of all ramps."""
 
     def value(place: Value) -> float:
         ramp = plan.values[place]
@@ -115,14 +115,14 @@ def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, A
 
 
 def merged(display: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
-    """`display` after `change`, which names parts of it."""
+    """Return `display` after the partial `change`."""
     tables = {name: display[name] | change.get(name, {}) for name in ("wall", "filters")}
     plain = {name: change.get(name, display[name]) for name in ("K", "B", "M", "active_damping")}
     return plain | tables
 
 
 def points_of(display: dict[str, Any], gain: float = 1.0) -> tuple[Point, Point | None]:
-    """The environment free, and in contact if there is a wall."""
+    """Return the environment free, and in contact if there is a wall."""
     filters = display["filters"]
     free = Point(
         gain * display["K"], gain * display["B"], gain * display["M"], display["active_damping"],
@@ -140,37 +140,37 @@ def points_of(display: dict[str, Any], gain: float = 1.0) -> tuple[Point, Point 
 
 
 class Plans:
-    """The servo's plan on its way through time, and what was in force."""
+    """The servo's plan over time, and the environments in force."""
 
     def __init__(self, params: ServoParams) -> None:
         self.params = params
         self.limits = CommandLimits.announced(params)
         self.plan = initial_plan(params)
         self.tick = 1
-        self.points: dict[Point, bool] = {}  # and whether it ever stood
+        self.points: dict[Point, bool] = {}  # and whether it was ever steady
 
     @property
     def resting(self) -> bool:
-        """Whether nothing is on its way."""
+        """Whether no change is in progress."""
         return wake_tick(self.plan, self.tick, self.params) == NEVER
 
     @property
     def ramping(self) -> bool:
-        """Whether a value is on its way, damping aside."""
+        """Whether a value is ramping, except damping."""
         return any(ramp.running(self.tick) for ramp in self.plan.values.values())
 
     @property
     def effect_ns_per_m(self) -> float:
-        """The damping that the board reports."""
+        """The damping reported by the board."""
         return display_of(self.plan, self.tick, self.params)["active_damping"]
 
     @property
     def revision(self) -> int:
-        """Of the environment in force."""
+        """Revision of the environment in force."""
         return self.plan.environment_revision
 
     def post(self, change: dict[str, Any], revision: int, at_tick: int = 0) -> Result:
-        """A `set` of `change`, judged for the environment `revision`, as the gateway posts it."""
+        """Post a `set` of `change`, judged for the environment `revision`, as the gateway does."""
         request = parse({"cmd": "set", **change}, self.limits)
         values = list(posting(request, 0)[VALUES])
         values[Value.MASK] += 1 << Value.ENVIRONMENT_REVISION
@@ -187,7 +187,7 @@ class Plans:
         return Result(answers[-1][1])
 
     def run(self, ticks: int) -> None:
-        """`ticks` ticks; it jumps over those in which nothing happens."""
+        """Run `ticks` ticks; skip those without an event."""
         end = self.tick + ticks
         while self.tick < end:
             due = self.plan.scheduled[0].tick if self.plan.scheduled else end
@@ -197,7 +197,7 @@ class Plans:
             self.step()
 
     def step(self) -> None:
-        """One tick."""
+        """Run one tick."""
         self.tick += 1
         while self.plan.scheduled and self.plan.scheduled[0].tick <= self.tick:
             due = self.plan.scheduled[0]
@@ -221,7 +221,7 @@ class Plans:
 
 
 class Guarded:
-    """A plan whose changes the guard lets through, as the gateway would."""
+    """A plan with the changes that the guard permits, as through the gateway."""
 
     def __init__(
         self,
@@ -243,7 +243,7 @@ class Guarded:
         self.asked: list[Asked] = []
 
     def ask(self, change: dict[str, Any], at_tick: int = 0, enable: bool = False) -> str:
-        """Judge `change` and do what the guard says; the action."""
+        """Judge `change` and apply the guard's answer; return the action."""
         plans = self.plans
         params = plans.params
         ramp_s = change.get("ramp_s", params.safety.default_ramp_s)
@@ -277,7 +277,7 @@ class Guarded:
         return answer["action"]
 
     def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """What the guard says; an error in its worker is a refusal."""
+        """Return the guard's answer; an error in its worker is a refusal."""
         try:
             return self.judge(request)
         except HapticdError as error:
@@ -291,10 +291,10 @@ class Guarded:
         extras = [stage["change"] | ramp_s if stage["change"] else {} for stage in stages]
         changed = [stage | {"change": more} for stage, more in zip(stages, extras, strict=True)]
         if at_tick:
-            # what stands in the schedule before it counts the revision up
+            # earlier entries of the schedule increment the revision
             ahead = sum(when <= at_tick for when, _ in self.scheduled)
             change = changed[0]["change"]
-            if not change:  # mode auto takes no level by name
+            if not change:  # mode auto accepts no explicit level
                 return
             posted = plans.post(change, plans.revision + ahead, at_tick)
             if posted is Result.SCHEDULED and len(stages) == 1:
@@ -320,25 +320,25 @@ class Guarded:
             if not stage["change"]:
                 continue
             if plans.post(stage["change"], self.expected) is not Result.APPLIED:
-                self.stages = []  # what comes later was judged with it in force
+                self.stages = []  # later stages assume that it is in force
             self.expected += 1
 
     @property
     def tick(self) -> int:
-        """Of the servo."""
+        """Tick of the servo."""
         return self.plans.tick
 
     def disable(self) -> None:
-        """Force off, which ends what is under way."""
+        """Switch force off, which ends changes in progress."""
         self.plans.switch(Command.DISABLE)
         self.stages = []
 
     def choose(self, mode: str) -> None:
-        """Another mode of the active damping."""
+        """Set another mode of the active damping."""
         self.mode["mode"] = mode
 
     def run(self, ticks: int) -> None:
-        """`ticks` ticks, in which stages go on."""
+        """Run `ticks` ticks, and continue stages."""
         for _ in range(ticks if self.stages else 0):
             self.plans.step()
             self._stage()
@@ -356,7 +356,7 @@ def _when(one: tuple[int, dict[str, Any]]) -> int:
 
 
 def drawn(random: Random, kinds: Mapping[str, int]) -> dict[str, Any]:
-    """A change of some parameters, of `kinds` with these weights."""
+    """Return a change of some parameters, of `kinds` with these weights."""
     change: dict[str, Any] = {}
     count = random.choice((1, 1, 2, 3))
     for kind in random.choices(list(kinds), list(kinds.values()), k=count):
@@ -400,7 +400,7 @@ _VALUES: dict[str, Callable[[Random], Any]] = {
 def fly(
     seed: int, judge: Answering, params: ServoParams, delay_periods: float | None = None
 ) -> Flown:
-    """The sequence of `seed`."""
+    """Run the sequence of `seed`."""
     random = Random(f"guard {seed}")
     policy = POLICIES[seed % len(POLICIES)]
     if random.random() < 0.15:
@@ -409,7 +409,7 @@ def fly(
     params = replace(params, safety=replace(params.safety, enable_ramp_s=enable_ramp_s))
     guarded = Guarded(judge, params, policy, delay_periods, seed)
     if random.random() < 0.3:
-        guarded.ask(drawn(random, EVERYTHING))  # something is there before force is
+        guarded.ask(drawn(random, EVERYTHING))  # an environment before force
         guarded.run(random.randrange(LONGEST_WAIT))
     guarded.ask({}, enable=True)
     for _ in range(REQUESTS):
@@ -421,7 +421,7 @@ def fly(
 
 
 def _configured(params: ServoParams, random: Random) -> Environment:
-    """What a configuration may render from the start on, inside the set or not."""
+    """Return an environment that a configuration may render at start, inside the set or not."""
     return replace(
         params.environment,
         stiffness_n_per_m=_VALUES["K"](random),
@@ -431,7 +431,7 @@ def _configured(params: ServoParams, random: Random) -> Environment:
 
 
 def request(guarded: Any, random: Random, kinds: Mapping[str, int] = EVERYTHING) -> None:
-    """One request of a client to `guarded`, a `Guarded` or what can be asked like it."""
+    """Send one client request to `guarded`, a `Guarded` or an object with the same interface."""
     kind = random.random()
     if kind < 0.06:
         guarded.disable()

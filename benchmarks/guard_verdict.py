@@ -1,13 +1,12 @@
-"""Whether environments withstand passive hands, by the tests' own spectral radius (`whole_tick`).
+"""Stability of environments in passive hands, by the tests' own spectral radius (`whole_tick`).
 
-Hands are given, and found: twenty random networks (`passive_hands`), a ladder of masses, of springs
-to the wall and of masses that grip by a spring, none of which loses anything, and for an
-environment that is suspected the hand that `coupled.shaking_hand` proposes. A proposal is a
-candidate only: whether it shakes is what the radius says.
+Some hands are fixed: twenty random networks (`passive_hands`), and lossless ladders of masses, of
+springs to the wall and of masses behind a spring. For a suspect environment `coupled.shaking_hand`
+proposes another. A proposal is only a candidate: the radius decides.
 
-What would break it: a hand that is not passive (their numbers are all positive), or an environment
-that only a hand of many resonators shakes and that nobody proposes; so "safe" means that none of
-some two hundred hands shakes it, and that the best of them was refined.
+Limitations: a hand that is not passive (their numbers are all positive), or an environment that
+only an unproposed hand of many resonators destabilises. So "safe" means that none of about two
+hundred hands destabilises it, and that the best of them was refined.
 """
 
 from collections.abc import Iterable, Sequence
@@ -32,20 +31,20 @@ from hapticd.core.environment import FilterParams
 from hapticd.model.coupled import destabilising_hand
 from hapticd.model.model import Model
 
-FURTHER = 1.05  # of K, B and M, from where nothing is rendered
+FURTHER = 1.05  # of K, B and M, from the empty environment
 RANDOM_HANDS = 20
 MASSES_KG = np.geomspace(1e-4, 30.0, 33)
 SPRINGS_N_PER_M = np.geomspace(5.0, 5e5, 41)
 GRIPS_KG = (0.03, 0.3)
 BATCH = 4096  # environments at a time
-# without a spring the place is an eigenvalue 1, and the slow motion of a heavy hand is all but a
-# second one: rounding moves such a pair by the root of what it moves others. With the place taken
-# out of the matrix, 13.6 kg under 6.4e-5 N s/m has 1 - 4.7e-9; with it, 1 + 3.6e-8 was found.
+# without a spring the place is an eigenvalue 1, and the slow motion of a heavy hand is almost a
+# second one: rounding moves such a pair by the root of its effect on others. With the place removed
+# from the matrix, 13.6 kg under 6.4e-5 N s/m has 1 - 4.7e-9; with it, 1 + 3.6e-8 was found.
 FREE = 1.0 + 2e-7
 
 
 def simple_hands() -> list[PlainHand]:
-    """Hands without loss: a mass, a spring to the wall, a mass behind a spring."""
+    """Return lossless hands: a mass, a spring to the wall, a mass behind a spring."""
     masses = [held_mass(float(one)) for one in MASSES_KG]
     springs = [held_mass(0.0, float(one)) for one in SPRINGS_N_PER_M]
     grips = [gripping(mass, float(one)) for mass in GRIPS_KG for one in SPRINGS_N_PER_M[::2]]
@@ -54,19 +53,19 @@ def simple_hands() -> list[PlainHand]:
 
 @dataclass(frozen=True)
 class Bench:
-    """A device as the tests know it, and the package's model of it, which proposes hands."""
+    """A device in the tests' model, and the package's model of it, which proposes hands."""
 
     display: Display
     model: Model
 
     @cached_property
     def few(self) -> list[PlainHand]:
-        """Nobody, random ones, and every fifth of the simple ones: for what is only passed."""
+        """No hand, random ones, and every fifth of the simple ones: for transient environments."""
         return [NOBODY, *simple_hands()[::5], *self.hands[-RANDOM_HANDS:]]
 
     @cached_property
     def hands(self) -> list[PlainHand]:
-        """Nobody, the simple ones and random ones."""
+        """No hand, the simple ones and random ones."""
         drawn = [
             PlainHand(one.mass_kg, one.damping_ns_per_m, one.stiffness_n_per_m)
             for one in random_hands(RANDOM_HANDS)
@@ -76,7 +75,7 @@ class Bench:
     def worst(
         self, points: Sequence[Point], hands: Iterable[PlainHand] | None = None
     ) -> np.ndarray:
-        """Largest radius (P,) of `points` in any of `hands`."""
+        """Return the largest radius (P,) of `points` in any of `hands`."""
         chosen = self.hands if hands is None else list(hands)
         found = np.zeros(len(points))
         for start in range(0, len(points), BATCH):
@@ -86,7 +85,7 @@ class Bench:
         return found
 
     def proposed(self, point: Point) -> PlainHand | None:
-        """A hand that may shake `point`."""
+        """Return a hand that may destabilise `point`."""
         if not any(point[:3]):
             return None
         filters = (
@@ -101,7 +100,7 @@ class Bench:
         )
 
     def shaken(self, point: Point) -> bool:
-        """Whether some hand shakes `point`, sought with care: the best simple one is refined."""
+        """Return whether some hand destabilises `point`, after refining the best simple one."""
         if point.stiffness < 0.0 or grows(point, self.worst([point])[0]):
             return True
         proposed = self.proposed(point)
@@ -110,7 +109,9 @@ class Bench:
         return any(grows(point, self._refined(point, spring)) for spring in (False, True))
 
     def _refined(self, point: Point, spring: bool) -> float:
-        """The largest radius in a mass, or a spring to the wall, with a tuned mass beside it."""
+        """Return the largest radius in a mass, or a spring to the wall, with an additional tuned
+        mass.
+        """
 
         def hand(numbers: np.ndarray) -> PlainHand:
             main, tuned_kg, tuned_hz = np.exp(numbers)
@@ -134,8 +135,8 @@ class Bench:
         return max(-float(one.fun) for one in found)
 
     def unsafe(self, points: Sequence[Point], ends: Sequence[Point]) -> list[Point]:
-        """Those of `points` that ring in one of a few hands, and those of `ends` that ring in any,
-        or in the hand that shakes the point 5 % further out.
+        """Return those of `points` that are unstable in one of a few hands, and those of `ends`
+        that are unstable in any, or in the hand that destabilises the point 5 % further out.
         """
         found = _ringing(points, self.worst(points, self.few))
         found += _ringing(ends, self.worst(ends))
@@ -147,7 +148,7 @@ class Bench:
 
 
 def grows(point: Point, found: float) -> bool:
-    """Whether a radius of `found` at `point` is more than rounding."""
+    """Return whether a radius of `found` at `point` is more than rounding."""
     return found > (FREE if point.stiffness == 0.0 else SETTLED)
 
 

@@ -1,5 +1,5 @@
-"""Times the guard's arithmetic in a process of its own, as the guard's worker runs it: one thread
-of numpy. Argument: the folder with guard.json.
+"""Time the guard's arithmetic in a separate process, like the guard's worker: one thread of numpy.
+Argument: the folder with guard.json.
 """
 
 import json

@@ -1,10 +1,10 @@
 """The gateway's command server and the guard's judge in front of a servo in lock-step: no socket,
 no process.
 
-Requests go as clients send them, replies and events come as clients get them; the judge answers at
-the next look. Everything is on the stack's virtual clock.
+Requests, replies and events have their formats for clients; the judge answers at the next pass. All
+is on the stack's virtual clock.
 
-What would break it: a judge that takes longer than a tick (its time is not counted here).
+Limitations: a judge that takes longer than a tick (its time is not counted here).
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ from hapticd.run.lockstep import LockStep
 
 UNIX_NS = 1_800_000_000_000_000_000
 CLIENT = b"client"
-PATIENCE = 3000  # ticks until a reply is there
+PATIENCE = 3000  # ticks until a reply arrives
 
 
 class InProcess:
-    """A line to a judge in this process."""
+    """A connection to a judge in this process."""
 
     def __init__(self, judge: Answering) -> None:
         self._judge = judge
@@ -41,10 +41,10 @@ class InProcess:
         self._ready: list[dict[str, Any]] = []
 
     def tend(self, now_ns: int) -> None:
-        """Nothing to be kept alive."""
+        """Do nothing."""
 
     def ask(self, request: dict[str, Any]) -> None:
-        """Answer at the next look, as the worker does."""
+        """Answer at the next pass, like the worker."""
         try:
             answer = self._judge(request)
         except HapticdError as error:
@@ -54,21 +54,21 @@ class InProcess:
         self._ready.append(answer)
 
     def answers(self) -> list[dict[str, Any]]:
-        """What it has said since the last call."""
+        """Return its answers since the last call."""
         found = self._ready
         self._ready = []
         return found
 
     def give_up(self, trouble: str) -> None:
-        """It does not hang."""
+        """Fail: it does not hang."""
         raise AssertionError(trouble)
 
     def close(self) -> None:
-        """Nothing to be ended."""
+        """Do nothing."""
 
 
 class GuardedStack:
-    """A client at the command server of a guarded servo."""
+    """A client of the command server of a guarded servo."""
 
     def __init__(self, stack: LockStep, judge: Answering, policy: str) -> None:
         self.stack = stack
@@ -84,7 +84,7 @@ class GuardedStack:
         self.run(3)
 
     def run(self, ticks: int = 1) -> None:
-        """Ticks of the servo, and after each a pass of the gateway."""
+        """Run ticks of the servo, each followed by a pass of the gateway."""
         for _ in range(ticks):
             block = self.stack.run(1)
             now_ns = self.stack.clock.now_ns()
@@ -95,14 +95,14 @@ class GuardedStack:
             self.watch()
 
     def send(self, **fields: Any) -> int:
-        """A request; its number."""
+        """Send a request and return its number."""
         self._number += 1
         request = encode(Encoding.MSGPACK, {"id": self._number, **fields})
         self._take(self.server.serve([[CLIENT, request]], self.stack.clock.now_ns()))
         return self._number
 
     def ask(self, **fields: Any) -> dict[str, Any]:
-        """A request and its reply, after as many ticks as it takes."""
+        """Send a request and run until its reply."""
         number = self.send(**fields)
         for _ in range(PATIENCE):
             if number in self.replies:
@@ -111,7 +111,7 @@ class GuardedStack:
         raise AssertionError(f"no reply to {fields} within {PATIENCE} ticks")
 
     def ended(self, number: int) -> dict[str, Any] | None:
-        """The event that tells the end of request `number`; None: none came yet."""
+        """Return the event with the end of request `number`; None if there is none yet."""
         found = [one for one in self.events if one["kind"] == "answer" and one["id"] == number]
         return found[-1] if found else None
 
@@ -122,7 +122,7 @@ class GuardedStack:
 
 
 class CommandServerClient:
-    """Asked as a `guard_requests.Guarded` is, it asks the command server."""
+    """The interface of a `guard_requests.Guarded` to the command server."""
 
     def __init__(self, guarded: GuardedStack) -> None:
         self.guarded = guarded
@@ -130,11 +130,11 @@ class CommandServerClient:
 
     @property
     def tick(self) -> int:
-        """Of the servo."""
+        """Tick of the servo."""
         return self.guarded.view.tick
 
     def ask(self, change: dict[str, Any], at_tick: int = 0, enable: bool = False) -> None:
-        """Ask, and do not wait."""
+        """Send the request without waiting."""
         timed = {"at_tick": at_tick} if at_tick else {}
         if enable:
             self.asked.append(self.guarded.send(cmd="enable"))
@@ -142,13 +142,13 @@ class CommandServerClient:
             self.asked.append(self.guarded.send(cmd="set", **change, **timed))
 
     def disable(self) -> None:
-        """Force off."""
+        """Switch force off."""
         self.asked.append(self.guarded.send(cmd="disable"))
 
     def choose(self, mode: str) -> None:
-        """Another mode of the active damping."""
+        """Set another mode of the active damping."""
         self.asked.append(self.guarded.send(cmd="guard", mode=mode))
 
     def run(self, ticks: int) -> None:
-        """Ticks of the servo."""
+        """Run ticks of the servo."""
         self.guarded.run(ticks)

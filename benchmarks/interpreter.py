@@ -1,5 +1,5 @@
-"""How the interpreter that runs this was built, as `hapticd doctor` says it: a tick is Python, so
-each result is one of a build.
+"""Build of the running interpreter, as in `hapticd doctor`: a tick is Python, so each result
+depends on the build.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ class Interpreter(NamedTuple):
 
 
 def this_interpreter() -> Interpreter:
-    """That of this process."""
+    """Return the interpreter of this process."""
     found = judged_build(this_machine().build)
     if isinstance(found, Flaw):
         return Interpreter(found.found, optimised=False)

@@ -1,19 +1,19 @@
-"""Late ticks at 1, 2, 4 and 8 kHz, the board's simulation included, beside the wakes that
-cyclictest gets too late.
+"""Late ticks at 1, 2, 4 and 8 kHz, including the board's simulation, compared with late wakes of
+cyclictest.
 
     python benchmarks/late.py                        four minutes; a row for each rate
     python benchmarks/late.py --python PATH          the same by two interpreters in turns: this one
                                                      and another of the same X.Y; nine minutes
     python benchmarks/late.py --share 0.1            a tenth of the periods
 
-Both run at the same time and priority on two cores that they change after each block, so that a
-pause of the machine meets both alike; on one core they take turns. Late is a tick that ends beyond
-the next deadline, and a wake that comes a whole period late. Judged is whether the servo's rate may
-be cyclictest's: Fisher's exact test (Fisher 1935), one-sided. Each late tick has its cause
-(`LateCause`; LAST: the last one of a piece, whose cause no record has). The targets above 2 kHz are
-those of an interpreter with profile-guided optimisation.
+Both run at the same time and priority on two cores that they exchange after each block, so that a
+pause of the machine affects both alike; on one core they take turns. A tick is late if it ends
+beyond the next deadline, a wake if it comes a whole period late. The test decides whether the
+servo's rate may equal cyclictest's: Fisher's exact test (Fisher 1935), one-sided. Each late tick
+has its cause (`LateCause`; LAST: the last one of a piece, whose cause is in no record). The targets
+above 2 kHz are those of an interpreter with profile-guided optimisation.
 
-What would break it: a block so short that one pause of the machine decides it.
+Limitations: a block so short that one pause of the machine decides it.
 """
 
 import argparse
@@ -36,7 +36,7 @@ from hapticd.core.units import US_PER_S
 
 RATES_HZ = (1000, 2000, 4000, 8000)
 UNOPTIMISED_HZ = 2000  # highest rate with a target for every build
-# of each, in all
+# of each, in total
 PERIODS = 120_000
 BLOCKS = 6
 TARGETS = targets.of("late")
@@ -44,7 +44,7 @@ TARGETS = targets.of("late")
 
 @dataclass
 class Count:
-    """What one interpreter did at one rate, beside cyclictest."""
+    """Result of one interpreter at one rate, and of cyclictest."""
 
     rate_hz: int
     build: str = ""
@@ -56,7 +56,7 @@ class Count:
 
     @property
     def p(self) -> float:
-        """Of so many late ticks or more, if the servo is late as often as cyclictest."""
+        """Probability of at least as many late ticks at cyclictest's rate."""
         return fisher_p(self.late.total(), self.periods, self.late_wakes, self.periods)
 
     @property
@@ -66,8 +66,8 @@ class Count:
 
 
 def measure() -> Iterator[Figure]:
-    """One count for each rate; the reference is cyclictest's in as many periods. Then the highest
-    rate that passed.
+    """Yield one count for each rate; the reference is cyclictest's in as many periods. Then yield
+    the highest rate that passed.
     """
     free_hz = 0
     side = "on two cores in turns" if len(_cores()) > 1 else "one after the other"
@@ -83,7 +83,7 @@ def measure() -> Iterator[Figure]:
 
 
 def counted(rate_hz: int, pythons: Sequence[str], share: float = 1.0) -> list[Count]:
-    """The count of each interpreter at `rate_hz`, in turns, over that share of PERIODS."""
+    """Return the count of each interpreter at `rate_hz`, in turns, over that share of PERIODS."""
     cores = _cores()
     cyclictest.prepare()
     ticks = round(share * PERIODS / BLOCKS)
@@ -97,8 +97,8 @@ def counted(rate_hz: int, pythons: Sequence[str], share: float = 1.0) -> list[Co
 
 
 def fisher_p(ours: int, ours_of: int, theirs: int, theirs_of: int) -> float:
-    """Probability of `ours` events or more in `ours_of` if both have one rate and `theirs` came in
-    `theirs_of` (Fisher 1935).
+    """Return the probability of `ours` events or more in `ours_of` if both have one rate and
+    `theirs` occurred in `theirs_of` (Fisher 1935).
 
     BenchError without scipy.
     """

@@ -1,5 +1,5 @@
-"""The servo with the simulated board in its process, in blocks: how many ticks ended beyond the
-next deadline, by cause; and how its interpreter was built.
+"""The servo with the simulated board in its process, in blocks: the number of ticks that ended
+beyond the next deadline, by cause, and the build of its interpreter.
 """
 
 import sys
@@ -13,7 +13,7 @@ from hapticd.usb.link import UsbLink
 
 
 def main() -> None:
-    """Argument: parameter file."""
+    """Run with the argument: parameter file."""
     params, board = read_parameters(sys.argv[1])
     servo = BenchServo(params, UsbLink(params.usb, simulated_backend(board, MonotonicClock())))
     build = this_interpreter()

@@ -1,5 +1,5 @@
-"""From `set` in a script to the first tick that renders it, beside a bare ZeroMQ echo between
-two processes.
+"""Latency from `set` in a script to the first tick that renders it, compared with an empty ZeroMQ
+echo between two processes.
 """
 
 import random
@@ -20,7 +20,7 @@ TARGETS = targets.of("latency")
 BLOCKS = 6
 SAMPLES = 200
 WARM_UP = 30
-PAUSE_S = (0.001, 0.005)  # drawn at random, so that no tick of the servo is preferred
+PAUSE_S = (0.001, 0.005)  # random, so that no tick of the servo is preferred
 ABOVE_ECHO_MS = 1.4
 TICK_S = 0.05
 STIFFNESS_N_PER_M = (80.0, 120.0)
@@ -31,7 +31,7 @@ MESSAGE = bytes(60)
 
 
 def measure() -> Iterator[Figure]:
-    """Medians over blocks of p50 and p99; one `set` and one echo in turns."""
+    """Yield medians over blocks of p50 and p99; one `set` and one echo in turns."""
     draw = random.Random(1)
     with daemon.running("latency") as instance, Client(instance) as client, echoing() as echo:
         client.enable()
@@ -67,9 +67,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _set_ns(client: Client, ring: memoryview, stiffness: float) -> int:
-    """Time of the first tick with `stiffness`, as the servo recorded it, minus the time of
-    sending.
-    """
+    """Return the recorded time of the first tick with `stiffness`, minus the time of sending."""
     asked_ns = time.monotonic_ns()
     tick = client.set(K=stiffness, ramp_s=0.0).first_tick
     deadline = time.monotonic() + TICK_S

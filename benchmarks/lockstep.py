@@ -1,8 +1,8 @@
-"""The whole stack on virtual time: CPU of 90 s of an enabled servo with a perturbation, every
+"""The whole stack on virtual time: CPU of 90 s of an enabled servo with a perturbation, with every
 record read.
 
-The yardstick is the bare path of a tick (`bare`) as often. Runs of 10 s and as many bare ticks
-take turns; least of each.
+The yardstick is as many minimal ticks (`bare`). Runs of 10 s and as many minimal ticks take turns;
+minimum of each.
 """
 
 import time
@@ -28,7 +28,7 @@ WAVE = [round(3000 * sin(2 * pi * 20 * index / 4000)) for index in range(4000)]
 
 
 def measure() -> Iterator[Figure]:
-    """The shipped simulated board, a rigid mass."""
+    """Measure the shipped simulated board, a rigid mass."""
     stand = settings()
     board = board_params(stand)
     assert board is not None
@@ -38,7 +38,7 @@ def measure() -> Iterator[Figure]:
 
 
 def lockstep_figure(name: str, target: str, servo: ServoParams, board: BoardParams) -> Figure:
-    """Seconds of CPU for 90 s, and of as many bare ticks."""
+    """Return the seconds of CPU for 90 s, and of as many minimal ticks."""
     ticks = round(RUN_S * servo.realtime.rate_hz)
     bare = BareLoop(servo.usb, board, yardstick(servo.environment, servo.realtime.rate_hz))
     taken = [(run_cpu_s(servo, board, ticks), bare.cpu_s(ticks)) for _ in range(ROUNDS)]
@@ -49,7 +49,9 @@ def lockstep_figure(name: str, target: str, servo: ServoParams, board: BoardPara
 
 
 def run_cpu_s(servo: ServoParams, board: BoardParams, ticks: int) -> float:
-    """CPU time of one run, its making and every record read included."""
+    """Return the CPU time of one run, including its construction and the reading of
+    every record.
+    """
     begin = time.process_time()
     with LockStep(servo, board) as stack:
         stack.run(10)

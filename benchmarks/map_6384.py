@@ -2,10 +2,10 @@
 device. Wall clock.
 
 A laboratory needs 13 days for it. All trials are made, near the predicted boundary with 4
-sub-steps, elsewhere with one. They run as `hapticd zwidth map` runs them, in a process for each
-core; the start of the processes counts, their end does not. The yardstick is what the same trials
-cost in C with the same sub-steps, every sample left, and their spectra by FFTW, all cores at once;
-it is timed before, between and after the two levels, and its median counts.
+sub-steps, elsewhere with one. They run as in `hapticd zwidth map`, in a process for each core; the
+start of the processes counts, their end does not. The yardstick is the cost of the same trials in C
+with the same sub-steps, every sample stored, and their spectra by FFTW, all cores at once. It is
+timed before, between and after the two levels, and its median counts.
 """
 
 import time
@@ -56,14 +56,14 @@ class Yardstick:
         self.spectra = SpectraYard(self.samples, float(PROBE_RATE_HZ))
 
     def turn(self) -> None:
-        """Some rounds of each."""
+        """Run some rounds of each."""
         for _ in range(ROUNDS):
             for one in (self.plain, self.fine):
                 one.time(TOGETHER * self.samples)
             self.spectra.time(TOGETHER // workers())
 
     def wall_s(self, trials: int, near: int) -> float:
-        """Of `trials`, `near` of them with 4 sub-steps."""
+        """Return the wall time of `trials`, `near` of them with 4 sub-steps."""
         plain_s, fine_s = (self.samples * median(one.found) for one in (self.plain, self.fine))
         return (
             (trials - near) * plain_s
@@ -73,7 +73,7 @@ class Yardstick:
 
 
 def measure() -> Iterator[Figure]:
-    """Both levels, prediction included, kernels compiled before."""
+    """Measure both levels, including prediction, with kernels compiled before."""
     scene = load_scene(SCENE)
     conditions = Conditions(scene, SECONDS, noise(scene))
     few = tuple(axis[:2] for axis in AXES)

@@ -1,10 +1,10 @@
-"""A board without time: the next IN frame lies ready and OUT frames vanish. What is left of a tick
+"""A board without time: the next IN frame is ready and OUT frames are dropped. The rest of a tick
 is the servo's own.
 
-Frames are prepared ahead by `prepare`, valid in number, echo, board time and CRC, with a moving
-encoder. What the link itself costs is to be taken off the tick: `read_ns` holds the body of each
-read, `calls_ns` the rest of a read and the whole of a write, measured once without a pause (so
-rather too little is taken off than too much).
+`prepare` makes frames in advance, valid in number, echo, board time and CRC, with a moving encoder.
+The cost of the link itself is subtracted from the tick: `read_ns` is the body of each read,
+`calls_ns` the rest of a read and the whole of a write, measured once without a pause (so it
+subtracts too little rather than too much).
 """
 
 import time
@@ -22,7 +22,7 @@ from hapticd.usb.frames import InFrame, Request
 AMPLITUDE_COUNTS = 2000
 WAVE_HZ = 3.0
 AMBIENT_COUNT = 2200
-AGE_US = 875  # of the torque, as a board at 1 kHz says it
+AGE_US = 875  # age of the torque, as reported by a board at 1 kHz
 TRIALS = 1000
 
 
@@ -38,8 +38,8 @@ class NullLink(Link):
         self.calls_ns = self._calibrate()
 
     def prepare(self, ticks: int) -> None:
-        """Lay ready the next `ticks` IN frames in place of the last ones, beginning after the
-        last one read.
+        """Replace the prepared frames by the next `ticks` IN frames, beginning after the last one
+        read.
         """
         self._made = self._made + self._next
         self._next = 0
@@ -73,8 +73,8 @@ class NullLink(Link):
         )
 
     def _calibrate(self) -> float:
-        """Time [ns] of a read and a write as the caller sees it, without the reading of the
-        clock and what `read_ns` holds.
+        """Return the time [ns] of a read and a write at the caller, without the clock reading and
+        `read_ns`.
         """
         clock = time.monotonic_ns
         read = self.read
@@ -94,10 +94,10 @@ class NullLink(Link):
         return float(reading - tick - median(self.read_ns) + writing - tick)
 
     def open(self) -> None:
-        """Always there."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing."""
 
     def read(self, buffer: "array[int]") -> int:
         begin_ns = time.monotonic_ns()
@@ -108,7 +108,7 @@ class NullLink(Link):
         return frames.IN_BYTES
 
     def write(self, buffer: "array[int]") -> None:
-        """Gone."""
+        """Drop the frame."""
 
     def request(self, request: Request, length: int = 0) -> bytes:
         return codec.encode_hello(hello(self._params))

@@ -1,9 +1,9 @@
-"""What it costs the console to show a browser every tick, 50 frames a second.
+"""Cost for the console of showing a browser every tick, 50 frames a second.
 
 The yardstick gets exactly the console's messages, at the same time: a reader of the page's socket
-publishes what it was sent, and a bare forwarder, asyncio as the console's server is, sends each
-message on to a websocket of its own. What the console does beyond that is making the frames out of
-the records, following the daemon in a thread of its own, and acknowledgements.
+publishes its messages, and a minimal forwarder, asyncio like the console's server, sends each of
+them on to its own websocket. The console's additional work is making frames from the records,
+following the daemon in a thread, and acknowledgements.
 """
 
 import subprocess
@@ -21,13 +21,13 @@ from hapticd.mailbox.daemons import console_place, daemon_folder
 TARGETS = targets.of("page_cpu")
 BLOCKS = 6
 BLOCK_S = 5.0
-SETTLING_S = 8.0  # until the plane of a page that has just come is computed
+SETTLING_S = 8.0  # until the plane of a new page is computed
 RATE_HZ = 50.0
-LEAST_SHARE = 0.9  # of the frames that should come
+LEAST_SHARE = 0.9  # of the expected frames
 
 
 def measure() -> Iterator[Figure]:
-    """CPU time of console and forwarder while each has one reader."""
+    """Yield the CPU time of console and forwarder while each has one reader."""
     with daemon.running("page") as instance, ExitStack() as stack:
         place = page_of(instance)
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hapticd-bench-"))
@@ -54,7 +54,9 @@ def measure() -> Iterator[Figure]:
 
 
 def page_of(instance: str) -> dict[str, object]:
-    """Where the page of `instance` is, {url, port, pid}. BenchError if it does not come."""
+    """Return the address of the page of `instance`, {url, port, pid}. BenchError if it does not
+    appear.
+    """
     deadline = time.monotonic() + daemon.START_S
     while (place := console_place(daemon_folder(instance))) is None:
         if time.monotonic() > deadline:
@@ -64,7 +66,7 @@ def page_of(instance: str) -> dict[str, object]:
 
 
 def _shares(pids: Sequence[int]) -> list[float]:
-    """Shares of a core that the processes take in one block."""
+    """Return the shares of a core used by the processes in one block."""
     before = [cpu_s(pid) for pid in pids]
     begin = time.monotonic()
     time.sleep(BLOCK_S)
@@ -73,7 +75,7 @@ def _shares(pids: Sequence[int]) -> list[float]:
 
 
 def worker(stack: ExitStack, *arguments: str) -> "subprocess.Popen[bytes]":
-    """A process of `page_worker` that ends with `stack`."""
+    """Start a process of `page_worker` that ends with `stack`."""
     process = started("page_worker", arguments)
     stack.callback(process.communicate)
     stack.callback(process.kill)

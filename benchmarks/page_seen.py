@@ -1,11 +1,11 @@
-"""What a person at the page waits for, in Chromium: from a click on the damping switch until the
-board's report is on the page, and from an address until something is seen.
+"""Latency for a person at the page, in Chromium: from a click on the damping switch to the board's
+report on the page, and from an address to the first paint.
 
-The yardstick of the click is a bare page whose button sends one message over a websocket and shows
-what comes back; both are clicked by the same mouse, in turns, and timed by the same lines inside
-the page, from the time stamp of the click until the count that the board reports is another one.
-(Damping then goes on its ramp, whatever the page.) That of the first paint is
-a page that holds the same bytes as text, from a bare server, by Chromium's own paint timing.
+The yardstick of the click is a minimal page whose button sends one message over a websocket and
+shows the echo. The same mouse clicks both, in turns, and the same lines inside the page time them,
+from the time stamp of the click until the count reported by the board changes. (Damping then starts
+its ramp, on any page.) The yardstick of the first paint is a page with the same bytes as text, from
+a minimal server, by Chromium's own paint timing.
 """
 
 import random
@@ -30,7 +30,7 @@ SIZE = {"width": 1280, "height": 720}
 ROUNDS = 20
 CLICKS = 20  # a round
 PAINTS = 20
-REST_MS = (120, 200)  # after each report: the damping's ramp ends, and no click keeps step
+REST_MS = (120, 200)  # after each report: the damping's ramp ends, and clicks are not synchronised
 WATCHED = """([button, report]) => {
     window.taken_ms = [];
     let clicked_ms = null;
@@ -59,7 +59,7 @@ PAINTED = """() => new Promise((done) => {
 
 
 def measure() -> Iterator[Figure]:
-    """Ratio of the 99th percentiles of a click, and of the medians of the first paint."""
+    """Yield the ratio of the 99th percentiles of a click, and of the medians of the first paint."""
     from playwright.sync_api import sync_playwright  # a tool of `make check`, not of `make test`
 
     with daemon.running("seen") as instance, ExitStack() as stack:
@@ -94,7 +94,7 @@ def measure() -> Iterator[Figure]:
 
 
 def opened(browser: "Browser", url: str) -> "Page":
-    """A page whose switch is ready and whose report is watched."""
+    """Return a page with a ready switch and an observed report."""
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     page.goto(url)
     page.wait_for_selector("#damping-switch[aria-checked=false]")
@@ -105,7 +105,7 @@ def opened(browser: "Browser", url: str) -> "Page":
 
 
 def clicked(pages: "list[Page]") -> list[list[float]]:
-    """Times [ms] from click to report, for each page, in turns of some clicks."""
+    """Return times [ms] from click to report, for each page, in alternating series of clicks."""
     random.seed(1)
     for _ in range(ROUNDS):
         for page in pages:
@@ -120,7 +120,7 @@ def clicked(pages: "list[Page]") -> list[list[float]]:
 
 
 def painted(browser: "Browser", url: str) -> float:
-    """Time [ms] to the first contentful paint of a browser that has never been there."""
+    """Return the time [ms] to the first contentful paint of a browser with an empty cache."""
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     page.goto(url)
     found: float = page.evaluate(PAINTED)

@@ -1,15 +1,15 @@
-"""Bare yardsticks of the operators' page: for page_cpu a ZeroMQ-to-websocket forwarder and a reader
-of websockets, for page_seen a page whose switch is answered by a websocket echo.
+"""Minimal yardsticks of the operators' page: for page_cpu a ZeroMQ-to-websocket forwarder and a
+reader of websockets, for page_seen a page whose switch is answered by a websocket echo.
 
-python -m benchmarks.page_worker forward ENDPOINT            says {url} once it serves; sends what
-                                                             is published at ENDPOINT to whoever
-                                                             opens the url, until it is ended
-python -m benchmarks.page_worker read URL SECONDS [ENDPOINT] takes frames for so long, acknowledges
-                                                             them as a page does, publishes at
-                                                             ENDPOINT all that it was sent; then
-                                                             says {frames}
-python -m benchmarks.page_worker serve                       says {url} once it serves: there is a
-                                                             page with a bare switch, and at `same`
+python -m benchmarks.page_worker forward ENDPOINT            prints {url} once it serves; forwards
+                                                             messages of ENDPOINT to each client of
+                                                             the url, until terminated
+python -m benchmarks.page_worker read URL SECONDS [ENDPOINT] reads frames for SECONDS, acknowledges
+                                                             them like a page, publishes all
+                                                             messages at ENDPOINT; then prints
+                                                             {frames}
+python -m benchmarks.page_worker serve                       prints {url} once it serves: a page
+                                                             with a minimal switch, and at `same`
                                                              one with the bytes of the page as text
 """
 
@@ -32,7 +32,7 @@ from websockets.typing import Origin
 
 from hapticd import console
 
-ACK_EVERY = 5  # as the page's
+ACK_EVERY = 5  # like the page's
 TEXT = b"text"
 BINARY = b"binary"
 HOST = "127.0.0.1"
@@ -54,7 +54,7 @@ SWITCH = """<!doctype html><title>bare</title>
 
 
 async def forward(endpoint: str) -> None:
-    """Serve until the process is ended."""
+    """Serve until terminated."""
     context = zmq.asyncio.Context()
 
     async def live(browser: ServerConnection) -> None:
@@ -73,7 +73,7 @@ async def forward(endpoint: str) -> None:
 
 
 async def serve_pages() -> None:
-    """Serve until the process is ended: the bare switch, its echo, and the page as text."""
+    """Serve until terminated: the minimal switch, its echo, and the page as text."""
     pages = {"/": SWITCH, "/same": as_text(STATIC)}
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -95,7 +95,7 @@ async def serve_pages() -> None:
 
 
 def as_text(folder: Path) -> str:
-    """The page of `folder` with all that it loads: its style as style, its scripts as text."""
+    """Return the page of `folder` with all its files: its style as style, its scripts as text."""
     page = (folder / "index.html").read_text()
     style = (folder / "console.css").read_text()
     scripts = "".join(one.read_text() for one in sorted(folder.rglob("*.js")))

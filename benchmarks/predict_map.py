@@ -1,9 +1,9 @@
 """The map that takes a laboratory 13 days: 6,384 environments, undamped and damped, by prediction
 alone. CPU time of its thread.
 
-The yardstick is numpy's einsum over the same environments, frequencies and ports: the sums that the
-loop's admittances are, once, and as many sums over the perturbation's band as fitting a friction
-takes at most. Both in turns, least of the rounds of each.
+The yardstick is numpy's einsum over the same environments, frequencies and ports: the sums of the
+loop's admittances, once, and the maximum number of sums over the perturbation's band for a friction
+fit. Both in turns, minimum of the rounds of each.
 """
 
 import time
@@ -25,15 +25,15 @@ TARGETS = targets.of("predict_map")
 AXES = (np.linspace(0.0, 1100.0, 12), np.linspace(-1.0, 8.0, 19), np.linspace(-0.024, 0.03, 28))
 LEVELS_NS_PER_M = (0.0, 1.74)
 SCENE = "fig7"
-# the sums so often in a round: for about as long
+# repetitions of the sums in a round: for about the same time
 ROUNDS = 7
 TIMES = 5
-FITTING = 40  # sums over the band for each body that rubs
-TOGETHER = 1024  # environments at once: what fits into the cache, for both
+FITTING = 40  # sums over the band for each body with friction
+TOGETHER = 1024  # environments at once: fits into the cache, for both
 
 
 def measure() -> Iterator[Figure]:
-    """Seconds of CPU for both levels; linearised friction, stability and margin of every
+    """Yield the seconds of CPU for both levels; linearised friction, stability and margin of every
     environment.
     """
     model = compose(load_scene(SCENE))
@@ -60,7 +60,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _einsum(model: Model, points: np.ndarray) -> Callable[[], None]:
-    """Same shapes, no physics, for one level."""
+    """Return sums of the same shapes, without physics, for one level."""
     band = frequencies(perturbation=Perturbation()).size
     ports = len(port_states(model))
     rubbing = int((coulomb(model) > 0.0).sum())

@@ -1,5 +1,5 @@
-"""The servo process from outside: private memory, threads, page faults, and what 10^5 live
-ticks at 8 kHz add.
+"""The servo process from outside: private memory, threads, page faults, and the growth of 10^5 live
+ticks at 8 kHz.
 """
 
 import os
@@ -29,13 +29,13 @@ SETTLE_S = 2.0
 BEAT_S = 0.1
 ACTOR = 1
 NO_VALUES = (0.0,) * COMMAND_VALUES
-PRIVATE = ("Private_Clean", "Private_Dirty")  # pages that nobody else maps at this moment
-OWNED = ("Anonymous",)  # heap and stack: does not change when another Python process starts or ends
-MINOR_FAULTS = 7  # of /proc/PID/stat, counted behind the name
+PRIVATE = ("Private_Clean", "Private_Dirty")  # pages without another mapping at this moment
+OWNED = ("Anonymous",)  # heap and stack: independent of other Python processes
+MINOR_FAULTS = 7  # of /proc/PID/stat, counted after the name
 
 
 def measure() -> Iterator[Figure]:
-    """Read before and after the ticks, with the servo enabled and a heartbeat given."""
+    """Read before and after the ticks, with the servo enabled and a heartbeat."""
     instance = f"bench-{os.getpid()}"
     with _servo(instance) as (process, gateway):
         gateway.post(Command.ENABLE, ACTOR, 0, NO_VALUES)
@@ -62,7 +62,7 @@ def measure() -> Iterator[Figure]:
 
 
 def memory_kb(pid: int, kinds: tuple[str, ...]) -> int:
-    """Sum of the fields `kinds` of /proc/PID/smaps_rollup."""
+    """Return the sum of the fields `kinds` of /proc/PID/smaps_rollup."""
     rows = dict(
         line.split(":") for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
     )
@@ -70,12 +70,12 @@ def memory_kb(pid: int, kinds: tuple[str, ...]) -> int:
 
 
 def minor_faults(pid: int) -> int:
-    """Pages that had to be fetched since the start, from memory alone."""
+    """Return the page faults served from memory since the start."""
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[MINOR_FAULTS])
 
 
 def _run_ticks(gateway: GatewayMailbox, ticks: int) -> int:
-    """Wait, with heartbeats, until `ticks` more ticks are done; how many were. BenchError when
+    """Wait, with heartbeats, until `ticks` more ticks are done; return their number. BenchError if
     they do not come.
     """
     begin = gateway.load_head(0)
@@ -94,7 +94,7 @@ def _run_ticks(gateway: GatewayMailbox, ticks: int) -> int:
 
 @contextmanager
 def _servo(instance: str) -> Iterator[tuple["subprocess.Popen[bytes]", GatewayMailbox]]:
-    """A servo process as the supervisor starts it, and the gateway's end of its mailbox."""
+    """Yield a servo process started like the supervisor's, and the gateway's end of its mailbox."""
     folder = files.runtime_folder(instance)
     paths = write(folder, settings(RATE_HZ), instance)
     command = [

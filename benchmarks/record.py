@@ -1,6 +1,6 @@
-"""What recording costs, in time and in bytes, and how fast a recording is replayed.
+"""Cost of recording, in time and in bytes, and speed of a replay.
 
-The recorder's CPU is compared with that of a process which appends the same bytes by h5py at the
+The recorder's CPU is compared with that of a process that appends the same bytes by h5py at the
 same time.
 """
 
@@ -35,8 +35,8 @@ WAVE_N = [0.3 * sin(2 * pi * 5 * index / 4000) for index in range(4000)]
 
 
 def measure() -> Iterator[Figure]:
-    """CPU of a recorder of an enabled, moving servo; bytes of its live file over those that
-    came; CPU of the replay.
+    """Yield the CPU of a recorder of an enabled, moving servo; bytes of its live file over the
+    received ones; CPU of the replay.
     """
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         params = RecordingParams(Path(folder) / "bench.h5")
@@ -49,8 +49,8 @@ def measure() -> Iterator[Figure]:
 
 
 def _recorded(params: RecordingParams) -> tuple[float, float]:
-    """Per cent of a core, of the recorder and of bare appending; the recorder is killed, so
-    that its live file stays.
+    """Return the percent of a core, of the recorder and of minimal appending; the recorder is
+    killed, so that its live file stays.
     """
     with daemon.running("record") as instance:
         with Client(instance) as client:
@@ -87,7 +87,7 @@ def _recorded(params: RecordingParams) -> tuple[float, float]:
 
 
 def _appending(file: Path) -> "subprocess.Popen[bytes]":
-    """An `append_worker` that has just begun to count."""
+    """Start an `append_worker` and wait until its measurement begins."""
     rates = [str(TICKS_HZ), str(PROBE_RATE_HZ), str(MEASURED_S)]
     process = started("append_worker", [str(file), *rates])
     next_json(process, "append_worker")
@@ -95,7 +95,7 @@ def _appending(file: Path) -> "subprocess.Popen[bytes]":
 
 
 def _bytes(part: Path) -> Figure:
-    """The live file, uncompressed, over the bytes of the records that came."""
+    """Return the live file, uncompressed, over the bytes of the received records."""
     with open_recording(part) as recording:
         ticks = recording.rows["servo"]
         samples = recording.rows["probe"]
@@ -112,7 +112,7 @@ def _bytes(part: Path) -> Figure:
 
 
 def _replay(file: Path) -> Figure:
-    """Recorded seconds over the CPU seconds of reading and replaying them, bit-exactly."""
+    """Return recorded seconds over the CPU seconds of reading and replaying them, bit-exactly."""
     times = []
     for _ in range(REPLAYS):
         begin = time.process_time()

@@ -1,5 +1,5 @@
-"""The record of a tick, from its one table: where a field stands in what layout.RECORD unpacks,
-and the same as a C struct.
+"""The record of a tick, from its one table: the index of a field in the tuple of layout.RECORD, and
+the same as a C struct.
 """
 
 from hapticd.mailbox import layout
@@ -18,7 +18,7 @@ _PLAN_FIELD = ("plan", f"V{layout.PLAN.size}")
 
 
 def _fields() -> list[tuple[str, str, int]]:
-    """Name, type and number of values of each field; those of the plan are one, as they are
+    """Return name, type and number of values of each field; those of the plan are one, as they are
     packed once per change.
     """
     rows = [row for row in layout.TELEMETRY if row[0] not in _PLAN]
@@ -28,7 +28,7 @@ def _fields() -> list[tuple[str, str, int]]:
 
 
 def place(name: str) -> int:
-    """Index of the (first) value of field `name` in a tuple of layout.RECORD."""
+    """Return the index of the (first) value of field `name` in a tuple of layout.RECORD."""
     before = 0
     for field, _, count in _fields():
         if field == name:
@@ -38,7 +38,7 @@ def place(name: str) -> int:
 
 
 def c_struct() -> str:
-    """`struct record` with the table's names, packed."""
+    """Return `struct record` with the table's names, packed."""
     rows = [_declaration(*field) for field in _fields()]
     return "\n".join(
         [

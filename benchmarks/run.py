@@ -1,17 +1,17 @@
-"""Measure what must be reached, print it, and write build/bench.json.
+"""Measure the targets, print the results, and write build/bench.json.
 
     python benchmarks/run.py                         everything but the parts in BY_NAME
     python benchmarks/run.py --only wake,tick        those parts; their figures replace those of an
                                                      earlier run
     python benchmarks/run.py --only new              a group of parts, see GROUPS
-    python benchmarks/run.py --repeat 5 --only new   so often, and for each figure its values, the
+    python benchmarks/run.py --repeat 5 --only new   five times, and for each figure its values, the
                                                      worst, and 1.3 times that
     python benchmarks/run.py --page                  the table of targets, as it is in
                                                      docs/development/benchmarks.md
 
 A part is a module of this folder with TARGETS (names and targets of its figures) and `measure()`,
-which yields figures as they become known. What cannot be measured is a figure that is not ok and
-says why.
+which yields figures as they become known. An impossible measurement is a figure that is not ok,
+with the reason.
 """
 
 import argparse
@@ -86,7 +86,7 @@ console = Console()
 
 
 def measure(part: str) -> list[Figure]:
-    """All figures of `part`, in the order of its TARGETS; those it could not measure say why."""
+    """Return all figures of `part`, in the order of its TARGETS; missing ones have their reason."""
     module = importlib.import_module(f"benchmarks.{part}")
     found: dict[str, Figure] = {}
     reason = "not measured"
@@ -102,13 +102,13 @@ def measure(part: str) -> list[Figure]:
 
 
 def _explained(figure: Figure, rows: dict[str, targets.Target]) -> Figure:
-    """With its yardstick and reason from the table."""
+    """Add yardstick and reason from the table."""
     row = rows.get(figure.name)
     return figure if row is None else replace(figure, yardstick=row.yardstick, reason=row.reason)
 
 
 def chosen(only: str) -> list[str]:
-    """Parts and groups named in `only`, separated by commas or blanks; if it names none, all but
+    """Return the parts and groups in `only`, separated by commas or blanks; by default all but
     those of BY_NAME. SystemExit for an unknown one.
     """
     names = only.replace(",", " ").split()
@@ -122,7 +122,7 @@ def chosen(only: str) -> list[str]:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """`rows` of build/bench.json for people; notes stand below."""
+    """Return `rows` of build/bench.json as a table; notes are below."""
     drawn = Table(title="hapticd benchmarks", title_justify="left")
     drawn.add_column("name", no_wrap=True)
     for heading in ("value", "yardstick", "ratio"):
@@ -145,7 +145,7 @@ def _number(number: Any, unit: str) -> str:
 
 
 def judged(row: dict[str, Any]) -> float | None:
-    """The number of a row that its target judges."""
+    """Return the number of a row that its target judges."""
     found: float | None = (
         row.get("p")
         if row["target"].startswith("p")
@@ -157,7 +157,7 @@ def judged(row: dict[str, Any]) -> float | None:
 
 
 def worst(target: str, values: Iterable[float | None]) -> float | None:
-    """Of what some runs found; None where one of them found nothing."""
+    """Return the worst result of some runs; None if one of them has none."""
     found = list(values)
     if not found or None in found:
         return None
@@ -165,15 +165,15 @@ def worst(target: str, values: Iterable[float | None]) -> float | None:
 
 
 def loosest(target: str, value: float | None) -> float | None:
-    """The loosest number that a target may have whose worst run gave `value`."""
+    """Return the loosest permitted target for a worst run of `value`."""
     if value is None or target.startswith("p"):
         return None
     return value / LOOSEST if ">=" in target else value * LOOSEST
 
 
 def spread(runs: list[list[dict[str, Any]]]) -> Table:
-    """What some runs found: each judged number, the worst, and the loosest target that it
-    allows.
+    """Return the results of some runs: each judged number, the worst, and the loosest permitted
+    target.
     """
     drawn = Table(title=f"{len(runs)} runs", title_justify="left")
     for heading in ("name", "target", "found", "worst", f"{LOOSEST}x worst"):
@@ -194,8 +194,8 @@ def spread(runs: list[list[dict[str, Any]]]) -> Table:
 
 
 def main(arguments: list[str]) -> int:
-    """Measure, write after each part, print; the exit code is 0 also where a target was missed:
-    the file says so.
+    """Measure, write after each part, print; the exit code is 0 also for a missed target, which the
+    file records.
     """
     parser = argparse.ArgumentParser(
         description="measure hapticd against its targets", allow_abbrev=False
@@ -223,7 +223,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _run(parts: list[str], some: bool, output: Path) -> list[dict[str, Any]]:
-    """The rows of one run, which are written and printed."""
+    """Return the rows of one run, which are written and printed."""
     rows = load(output) if some else []
     measured: list[dict[str, Any]] = []
     build = this_interpreter().text

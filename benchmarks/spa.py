@@ -1,6 +1,7 @@
-"""Detrend and `spa` of one 90 s trial, beside scipy at equal resolution and beside C with FFTW.
+"""Detrend and `spa` of one 90 s trial, compared with scipy at equal resolution and with C using
+FFTW.
 
-CPU time of one thread, the three interleaved, least of all rounds.
+CPU time of one thread, the three interleaved, minimum of all rounds.
 """
 
 import time
@@ -26,7 +27,7 @@ ROUNDS = 30
 
 
 def measure() -> Iterator[Figure]:
-    """Our time against both, in one process."""
+    """Compare our time with both, in one process."""
     force, velocity = _record()
     runs: dict[str, Callable[[], Any]] = {"ours": lambda: spa(force, velocity, RATE_HZ, LAG)}
     missing = {
@@ -64,7 +65,7 @@ def _added(
     make: Callable[..., Callable[[], Any]],
     *record: np.ndarray,
 ) -> str:
-    """Put the peer into `runs`; why it is not there, empty if it is."""
+    """Put the peer into `runs`; return why it is missing, empty if it is not."""
     try:
         runs[name] = make(*record)
     except (BenchError, ImportError) as error:
@@ -86,8 +87,8 @@ def _scipy(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
 
 
 def _fftw(force: np.ndarray, velocity: np.ndarray) -> Callable[[], Any]:
-    """The compiled yardstick. BenchError without compiler or FFTW, or when its spectra are not
-    ours.
+    """Return the compiled yardstick. BenchError without compiler or FFTW, or if its
+    spectra differ.
     """
     made = SpaReference("f64")
     _check_same(made.spectra(force, velocity), spa(force, velocity, RATE_HZ, LAG))
@@ -103,7 +104,7 @@ def _check_same(theirs: np.ndarray, ours: Spectra) -> None:
 
 
 def _least(runs: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """CPU time of each in ms, the least of all rounds."""
+    """Return the CPU time of each in ms, minimum of all rounds."""
     for run in runs.values():
         run()
     taken: dict[str, list[float]] = {name: [] for name in runs}

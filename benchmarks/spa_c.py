@@ -46,19 +46,19 @@ class SpaReference:
             raise BenchError("FFTW made no plan")
 
     def spectra(self, force: Any, velocity: Any) -> Any:
-        """Phi_u, Phi_y, Phi_yu of one record (3, LAG + 1), as `spa`."""
+        """Return Phi_u, Phi_y, Phi_yu of one record (3, LAG + 1), as `spa`."""
         out = self._room(3)
         self._library.spa_reference(_at(force), _at(velocity), ctypes.c_long(len(force)), _at(out))
         return out
 
     def force_table(self, force: Any) -> Any:
-        """Transforms of all sections of a force that many trials share."""
+        """Return transforms of all sections of a force shared by many trials."""
         table = self._room(-(-len(force) // LAG) + 1)
         self._library.spa_force(_at(force), ctypes.c_long(len(force)), _at(table))
         return table
 
     def shared(self, table: Any, velocity: Any) -> Any:
-        """Phi_u and Phi_yu (2, LAG + 1) of a trial under that force."""
+        """Return Phi_u and Phi_yu (2, LAG + 1) of a trial under that force."""
         out = self._room(2)
         self._library.spa_shared(_at(table), _at(velocity), ctypes.c_long(len(velocity)), _at(out))
         return out
@@ -68,8 +68,8 @@ class SpaReference:
 
 
 class SpectraYard:
-    """Spectra of a record by float32 FFTW on all cores, the force shared and transformed
-    before, as a map's trials do it.
+    """Spectra of a record by float32 FFTW on all cores, with the force shared and transformed in
+    advance, as in a map.
     """
 
     def __init__(self, samples: int, rate_hz: float) -> None:
@@ -82,7 +82,7 @@ class SpectraYard:
         self._check(force, rate_hz)
 
     def _check(self, force: Any, rate_hz: float) -> None:
-        """BenchError unless its spectra are ours."""
+        """Raise BenchError unless its spectra equal ours."""
         mine = spa(force.astype(np.float64), self._velocity.astype(np.float64), rate_hz, LAG)
         theirs = self._made.shared(self._table, self._velocity)
         for own, other in zip((mine.velocity, mine.cross), theirs, strict=True):
@@ -93,14 +93,14 @@ class SpectraYard:
                 )
 
     def time(self, trials: int) -> None:
-        """Add a round: seconds of a trial on one core, while all cores do this."""
+        """Add a round: seconds of a trial on one core, with all cores busy."""
         with ThreadPoolExecutor(workers()) as threads:
             begin = time.perf_counter()
             list(threads.map(self._repeat, [trials] * workers()))
             self.found.append((time.perf_counter() - begin) / trials)
 
     def one(self) -> None:
-        """A trial's spectra."""
+        """Compute a trial's spectra."""
         self._made.shared(self._table, self._velocity)
 
     def _repeat(self, trials: int) -> None:

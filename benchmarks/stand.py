@@ -1,6 +1,4 @@
-"""What stands on the bench: the shipped simulated device at some rate, with K = 100 N/m, B = 1
-N s/m, M = 10 g.
-"""
+"""The bench: the shipped simulated device at some rate, with K = 100 N/m, B = 1 N s/m, M = 10 g."""
 
 import json
 import tempfile
@@ -18,7 +16,7 @@ HOST_S = 125e-6
 
 
 def settings(rate_hz: float = 1000.0, core: int | None = None, **gateway: Any) -> Settings:
-    """The shipped configuration, whatever the user's own says; on `core`, if given."""
+    """Return the shipped configuration, independent of the user's own; on `core`, if given."""
     tables = {
         "realtime": {"rate_hz": rate_hz} | ({} if core is None else {"core": core}),
         "environment": ENVIRONMENT,
@@ -34,16 +32,16 @@ def settings(rate_hz: float = 1000.0, core: int | None = None, **gateway: Any) -
 
 
 def sample_phase(rate_hz: float) -> float:
-    """When the board latches its encoder, in periods after OUT: it leaves the host the 125 us
-    of 1 kHz, or half a period.
+    """Return the latch time of the encoder, in periods after OUT: it leaves the host the 125 us of
+    1 kHz, or half a period.
     """
     return max(0.5, 1.0 - HOST_S * rate_hz)
 
 
 @contextmanager
 def parameter_file(rate_hz: float = 1000.0, core: int | None = None) -> Iterator[str]:
-    """A file for `bench_servo.read_parameters`: a worker loads neither TOML nor pydantic, as
-    the servo process.
+    """Yield a file for `bench_servo.read_parameters`: a worker loads neither TOML nor pydantic,
+    like the servo process.
     """
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         path = Path(folder) / "stand.json"

@@ -1,18 +1,18 @@
-"""Every figure with its target, the yardstick it is judged by, and why the target is what it is.
+"""Every figure with its target, its yardstick, and the reason for the target.
 
-This is the one table: parts ask it for their targets, build/bench.json and
-docs/development/benchmarks.md repeat it, a test compares them. A reason says what the figure does
-beyond its yardstick and what that should cost.
+This is the only table: parts read their targets from it, build/bench.json and
+docs/development/benchmarks.md repeat it, a test compares them. A reason states the additional work
+of the figure compared with its yardstick, and its expected cost.
 
-What would break it: a time without a yardstick, since it says more about the machine than about
-the program; such figures have no target and are information.
+Limitations: a time without a yardstick, since it depends more on the machine than on the program;
+such figures have no target and are information.
 """
 
 from typing import NamedTuple
 
 
 class Target(NamedTuple):
-    """One row; `limit` as `figures.judge` reads it, empty for information."""
+    """One row; `limit` in the format of `figures.judge`, empty for information."""
 
     limit: str
     yardstick: str
@@ -380,12 +380,12 @@ TABLE: dict[str, dict[str, Target]] = {
 
 
 def of(part: str) -> dict[str, str]:
-    """Limits of the figures of `part`, in their order."""
+    """Return limits of the figures of `part`, in their order."""
     return {name: target.limit for name, target in TABLE[part].items()}
 
 
 def page() -> str:
-    """The table in Markdown, as it stands in docs/development/benchmarks.md."""
+    """Return the table in Markdown, as in docs/development/benchmarks.md."""
     lines = ["| part | name | target | yardstick | why that much |", "|---|---|---|---|---|"]
     for part, rows in TABLE.items():
         for place, (name, target) in enumerate(rows.items()):

@@ -1,8 +1,8 @@
-"""Every tick of a minute at 1 kHz, in five processes at once, and what that costs the gateway.
+"""Every tick of a minute at 1 kHz, in five processes at once, and the cost for the gateway.
 
-The yardstick is a bare forwarder at the same time: it reads the same ring, packs the same maps and
-sends them to five bare subscribers. What the gateway does beyond that is looking at every record:
-histograms, events, the flight recorder.
+The yardstick is a minimal forwarder at the same time: it reads the same ring, packs the same maps
+and sends them to five minimal subscribers. The gateway's additional work is the inspection of every
+record: histograms, events, the flight recorder.
 """
 
 import subprocess
@@ -26,8 +26,8 @@ SUBSCRIBER = "a subscriber"  # in messages
 
 
 def measure() -> Iterator[Figure]:
-    """Records that any of the five did not get, and CPU time of gateway and forwarder while all
-    listen.
+    """Yield the records missing in any of the five, and the CPU time of gateway and forwarder while
+    all are subscribed.
     """
     with daemon.running("telemetry") as instance, ExitStack() as stack:
         with Client(instance) as client:
@@ -74,7 +74,7 @@ def measure() -> Iterator[Figure]:
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time of process `pid` so far, all its threads, as the scheduler counts it."""
+    """Return the CPU time of process `pid` so far, of all its threads, from the scheduler."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / NS_PER_S
 

@@ -1,5 +1,5 @@
-"""A subscriber of `servo.raw`. Arguments: instance, seconds of recorded time. Says when it
-receives something, then what it got.
+"""A subscriber of `servo.raw`. Arguments: instance, seconds of recorded time. It prints a line at
+the first block, then its result.
 """
 
 import json
@@ -9,7 +9,7 @@ from hapticd.client import Client
 
 
 def main() -> None:
-    """Two lines: `{}` at the first block, {records, missing} at the end."""
+    """Print two lines: `{}` at the first block, {records, missing} at the end."""
     records = missing = 0
     with Client(sys.argv[1]) as client:
         for block in client.stream("servo.raw", seconds=float(sys.argv[2])):

@@ -1,8 +1,8 @@
-"""What a winding that warms up from 20 to 80 degC takes from damping and force, with and without
-the compensation of its resistance.
+"""Loss of damping and force in a winding that warms up from 20 to 80 degC, with and without the
+compensation of its resistance.
 
 The whole stack in lock-step with the device `warming`, on virtual time. A hand pushes the handle
-against a spring until the winding is warmer; every two seconds it lets go for a moment, the servo
+against a spring until the winding is warmer. Every two seconds it lets go for a moment, the servo
 is disabled (active damping stays on), and a constant push moves the handle at a steady speed:
 
     delivered damping   -(motor force) / (velocity), both from the records: the board's current
@@ -14,8 +14,8 @@ same flight with a board whose resistance DAC is not connected.
 
     device   g = 1.74 N s/m, K = 1.65 N/A, R = 1.6 ohm: g R / K^2 = 1.02, so 60 K cost 19 %
 
-What would break it: velocity by the back-EMF, which the residual resistance falsifies by the very
-factor that is sought.
+Limitations: velocity from the back-EMF, which the residual resistance falsifies by the very factor
+to be measured.
 """
 
 from collections.abc import Iterator
@@ -43,16 +43,16 @@ HEATING_N = 5.0  # 3 A: 14 W
 PUSH_N = 0.6  # 0.3 m/s against the damping
 ENABLE_S = 0.05
 CYCLE_S = 2.0
-FIRST_S = 1.0  # until everything stands
+FIRST_S = 1.0  # until the motion has settled
 HEATED_S = 1.6  # of a cycle
-MOVED_S = (1.8, 0.04)  # from then, for so long
+MOVED_S = (1.8, 0.04)  # start in the cycle, and duration
 STILL_TICKS = slice(280, 320)  # after the enable: the spring has swung out
 CYCLES = 6  # until it is warmer than 80 degC
 SIM_TICKS_PER_S = 1000
 
 
 class Delivered(NamedTuple):
-    """What one moment of the flight shows."""
+    """Results at one moment of the flight."""
 
     winding_c: float
     active_damping_ns_per_m: float
@@ -60,7 +60,7 @@ class Delivered(NamedTuple):
 
 
 def device(lacks: tuple[str, ...] = ()) -> tuple[ServoParams, BoardParams]:
-    """Servo and board of the device `warming`; the board lacks these capabilities."""
+    """Return servo and board of the device `warming`; the board lacks these capabilities."""
     asked = (
         Override(("device",), "warming", "benchmark"),
         Override(("simulation", "board", "lacks"), list(lacks), "benchmark"),
@@ -69,13 +69,13 @@ def device(lacks: tuple[str, ...] = ()) -> tuple[ServoParams, BoardParams]:
     board = board_params(settings)
     assert board is not None
     servo = servo_params(settings, "thermal")
-    # a winding that is not compensated delivers less damping than the energy ledger counts on
+    # an uncompensated winding delivers less damping than the energy ledger assumes
     safety = replace(servo.safety, enable_ramp_s=ENABLE_S, limit_cycle_faults=False)
     return replace(servo, safety=safety), board
 
 
 def touched(board: BoardParams, cycles: int) -> BoardParams:
-    """`board` in the hands of the flight: one push to move it at first, then heat and motion."""
+    """Return `board` with the hands of the flight: one initial push, then heat and motion."""
     hands = [HandParams("push", FIRST_S - 0.2, MOVED_S[1], PUSH_N)]
     for cycle in range(cycles):
         start_s = FIRST_S + cycle * CYCLE_S
@@ -85,7 +85,7 @@ def touched(board: BoardParams, cycles: int) -> BoardParams:
 
 
 def flown(params: ServoParams, board: BoardParams, cycles: int) -> Iterator[Delivered]:
-    """The moments of a flight, the first one at ambient temperature."""
+    """Yield the moments of a flight, the first one at ambient temperature."""
     damping = {Value.ACTIVE_DAMPING: DAMPING_NS_PER_M, Value.ACTIVE_DAMPING_ON: 1.0}
     with LockStep(params, touched(board, cycles), keep=False) as stack:
         stack.do(Command.DAMPING, damping)
@@ -102,7 +102,7 @@ def flown(params: ServoParams, board: BoardParams, cycles: int) -> Iterator[Deli
 
 
 def _until(stack: LockStep, seconds: float) -> npt.NDArray[np.void]:
-    """Records up to that time since the first tick."""
+    """Return records up to that time since the first tick."""
     ticks = round(seconds * SIM_TICKS_PER_S) - stack.loop.slot
     return np.frombuffer(stack.run(ticks), dtype=RECORD)
 
@@ -110,7 +110,7 @@ def _until(stack: LockStep, seconds: float) -> npt.NDArray[np.void]:
 def _delivered(
     params: ServoParams, moved: npt.NDArray[np.void], held: npt.NDArray[np.void]
 ) -> Delivered:
-    """From the fastest ticks of a steady motion, and from a force that is held after it."""
+    """Evaluate the fastest ticks of a steady motion, and a force held after it."""
     table = params.device.resistance
     assert table is not None
     steady = moved[np.argsort(np.abs(moved["velocity_m_per_s"]))[-10:]]
@@ -122,7 +122,7 @@ def _delivered(
 
 
 def deviation_pct(moments: list[Delivered]) -> float:
-    """Largest deviation of damping or torque gain from those of the first moment."""
+    """Return the largest deviation of damping or torque gain from those of the first moment."""
     first = moments[0]
     shares = [one.active_damping_ns_per_m / first.active_damping_ns_per_m for one in moments]
     shares += [one.torque_gain / first.torque_gain for one in moments]
@@ -130,7 +130,7 @@ def deviation_pct(moments: list[Delivered]) -> float:
 
 
 def measure() -> Iterator[Figure]:
-    """`thermal_delivered_pct`, beside it that of a board that compensates nothing."""
+    """Yield `thermal_delivered_pct`, with that of an uncompensated board for comparison."""
     found = {}
     for lacks in ((), ("resistance",)):
         found[lacks] = list(flown(*device(lacks), CYCLES))

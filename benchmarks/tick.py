@@ -1,5 +1,5 @@
-"""The tick without USB: how long the servo's own work takes, beside the least that could be
-written in Python and in C.
+"""The tick without USB: time of the servo's own work, compared with the minimum in
+Python and in C.
 """
 
 import tempfile
@@ -22,7 +22,7 @@ PAIRS = 200
 
 
 def measure() -> Iterator[Figure]:
-    """All of them; quantiles of each block, medians over blocks."""
+    """Yield all figures; quantiles of each block, medians over blocks."""
     with (
         tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder,
         parameter_file() as parameters,
@@ -57,7 +57,7 @@ def measure() -> Iterator[Figure]:
 
 
 def _library(folder: Path) -> tuple[str, str]:
-    """Path of the C yardstick, or why there is none."""
+    """Return the path of the C yardstick, or the reason why there is none."""
     try:
         return compile_library(folder), ""
     except BenchError as error:
@@ -65,7 +65,7 @@ def _library(folder: Path) -> tuple[str, str]:
 
 
 def _round(worker: Worker) -> dict[str, list[int]]:
-    """One block of everything, times in ns."""
+    """Measure one block of everything, times in ns."""
     paced = worker.ask(what="paced", ticks=PACED)
     hot = worker.ask(what="hot", ticks=HOT)
     return {

@@ -1,5 +1,5 @@
-"""The yardstick in C: compiling tick_reference.c, and running it from the servo's own state
-over the servo's own frames.
+"""The yardstick in C: compile tick_reference.c, and run it from the servo's own state over the
+servo's own frames.
 """
 
 import ctypes
@@ -25,7 +25,7 @@ SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 # struct servo
 HELD = struct.Struct(f"=6d12d10d7d3d3d2d4d3q4H{2 * TORQUE_SEQUENCES}q{layout.PLAN.size}s")
-# places in IN_HEAD
+# indices into IN_HEAD
 SEQ = 0
 ECHO = 1
 BOARD_US = 5
@@ -34,7 +34,9 @@ OUT_FRAME = place("out_frame")
 
 
 def compile_library(folder: Path) -> str:
-    """Path of the shared library, made in `folder`. BenchError without a compiler."""
+    """Compile into `folder` and return the path of the shared library. BenchError without a
+    compiler.
+    """
     compiler = shutil.which("cc")
     if compiler is None:
         raise BenchError("no C compiler `cc`: `make deps` installs one")
@@ -77,7 +79,7 @@ class CReference:
             )
 
     def run(self, state: tuple[Any, ...], tick: int, frames: "list[array[int]]") -> bytes:
-        """Records of the ticks from `tick` on over `frames`, from `state`. BenchError when it
+        """Return records of the ticks from `tick` on over `frames`, from `state`. BenchError if it
         refuses a frame.
         """
         held = ctypes.create_string_buffer(self._held(state, tick, frames[0]), HELD.size)
@@ -134,7 +136,7 @@ class CReference:
 
 
 def check_same_work(ours: bytes, theirs: bytes) -> None:
-    """BenchError unless the last record of both has the same numbers and the very same OUT
+    """Raise BenchError unless the last record of both has the same numbers and an identical OUT
     frame.
     """
     mine, other = (layout.RECORD.unpack(block[-layout.RECORD.size :]) for block in (ours, theirs))

@@ -1,9 +1,8 @@
-"""The yardstick in Python: the tick as one writes it in an afternoon, precompiled structs and all,
-and nothing more.
+"""The yardstick in Python: a simple tick with precompiled structs, and nothing more.
 
 Unpack, difference, two biquads, K-B-M, limit, pack, one 128-byte record. No CRC, no sequence, no
-check of any kind, no command, no ramp, no state but the filters'. It runs on the same frames at the
-same pace as the servo's tick.
+checks, no commands, no ramps, no state but the filters'. It runs on the same frames at the same
+pace as the servo's tick.
 """
 
 import struct
@@ -36,8 +35,8 @@ class Biquad:
 
 
 class ReferenceTick:
-    """Calling it with a frame and the time gives the OUT frame; `rate_hz` is in the filters'
-    input.
+    """A call with a frame and the time returns the OUT frame; `rate_hz` is in the
+    filters' input.
     """
 
     def __init__(
@@ -126,7 +125,7 @@ class ReferenceTick:
 
 
 def yardstick(environment: Environment, rate_hz: float) -> ReferenceTick:
-    """The tick with the servo's environment."""
+    """Return the tick with the servo's environment."""
     kbm = (environment.stiffness_n_per_m, environment.virtual_damping_ns_per_m, environment.mass_kg)
     filters = (
         _coefficients(environment.velocity_filter, rate_hz),

@@ -1,5 +1,5 @@
-"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and
-USB pairs on their own.
+"""Ticks without USB, timed: the servo's own, the Python yardstick's and the C yardstick's; and USB
+pairs alone.
 """
 
 import sys
@@ -31,7 +31,9 @@ STAGES = slice(
 
 
 def own_ns(block: bytes, read_ns: Sequence[int], calls_ns: float = 0.0) -> list[float]:
-    """Time from wake to end of each tick in `block` but the last, less what the link took."""
+    """Return the time from wake to end of each tick in `block` but the last, less that
+    of the link.
+    """
     stages = [record[STAGES] for record in layout.RECORD.iter_unpack(block)]
     return [
         sum(now[:3]) + after[3] - read - calls_ns
@@ -40,17 +42,17 @@ def own_ns(block: bytes, read_ns: Sequence[int], calls_ns: float = 0.0) -> list[
 
 
 def no_wait(_deadline_ns: int, _rehearse: Callable[[], object]) -> int:
-    """The wait of a loop that never waits."""
+    """Return at once: the wait of a loop without pauses."""
     return time.monotonic_ns()
 
 
 def _nothing() -> None:
-    """The yardstick rehearses nothing."""
+    """Do nothing: the yardstick has no rehearsal."""
 
 
 class TickBench:
-    """One servo over a null link, its yardsticks, and USB links to the simulated board and to
-    an empty one.
+    """One servo on a null link, its yardsticks, and USB links to the simulated board and to an
+    empty one.
     """
 
     def __init__(self, params: ServoParams, board: BoardParams, library: str) -> None:
@@ -66,13 +68,13 @@ class TickBench:
         self.empty = empty_link(params.usb, board, MonotonicClock())
 
     def paced(self, ticks: int) -> dict[str, list[float]]:
-        """The servo's tick and the Python yardstick's, a block of each at their pace."""
+        """Time the servo's tick and the Python yardstick's, a block of each at their pace."""
         self.servo.loop.wait = self.wait
         ours = own_ns(self.servo.run(ticks), self.link.read_ns, self.link.calls_ns)
         return {"servo": ours, "reference": self._every_period(self.link.frames, self.reference)}
 
     def hot(self, ticks: int) -> dict[str, list[float]]:
-        """The servo's tick without a pause, and the C yardstick's from the same state over the
+        """Time the servo's tick without a pause, and the C yardstick's from the same state over the
         same frames.
         """
         self.servo.loop.wait = no_wait
@@ -87,7 +89,7 @@ class TickBench:
         return taken
 
     def pairs(self, ticks: int) -> dict[str, list[float]]:
-        """A read and a write through pyusb at the servo's pace: the simulated board's, and an
+        """Time a read and a write through pyusb at the servo's pace: the simulated board's, and an
         empty board's.
         """
         return {"pair": self._pairs(self.usb, ticks), "empty": self._pairs(self.empty, ticks)}
@@ -108,8 +110,8 @@ class TickBench:
     def _every_period(
         self, arguments: Sequence[Any], action: Callable[[Any, int], Any]
     ) -> list[float]:
-        """How long `action(argument, start)` takes, one argument each period; periods that have
-        passed are dropped.
+        """Return the times of `action(argument, start)`, one argument each period; past periods are
+        dropped.
         """
         wait = self.wait
         clock = time.monotonic_ns
@@ -126,7 +128,7 @@ class TickBench:
 
 
 def main() -> None:
-    """Arguments: parameter file, path of the compiled C yardstick or nothing."""
+    """Run with the arguments: parameter file, path of the compiled C yardstick or an empty text."""
     params, board = read_parameters(sys.argv[1])
     bench = TickBench(params, board, sys.argv[2] if len(sys.argv) > 2 else "")
     actions = {"paced": bench.paced, "hot": bench.hot, "pairs": bench.pairs}

@@ -1,5 +1,5 @@
-"""What a shorter delay from sample to force buys: the largest stiffness of a rigid display by
-simulated trials of 90 s, at the delay of transfers in flight over that of one after the other.
+"""Benefit of a shorter delay from sample to force: the largest stiffness of a rigid display by
+simulated trials of 90 s, with transfers in flight relative to sequential ones.
 
 No time is measured; the figure is the same on every machine. `docs/timing.py` has more rows.
 """
@@ -23,7 +23,7 @@ PHYSICAL_NS_PER_M = 0.36
 
 
 def rigid(physical_ns_per_m: float, delay_periods: float) -> Scene:
-    """A rigid mass of 8 g with that viscous damping and delay, and nothing else."""
+    """Return a rigid mass of 8 g with only that viscous damping and delay."""
     scene = load_scene("theory")
     viscous = Viscous(rotor_ns_per_m=physical_ns_per_m, source="inferred")
     effects = [viscous if isinstance(one, Viscous) else one for one in scene.effects]
@@ -32,13 +32,13 @@ def rigid(physical_ns_per_m: float, delay_periods: float) -> Scene:
 
 
 def tried_limit(scene: Scene, axis: int = 0, base: Point = ORIGIN, seeds: int = 1) -> AxisLimit:
-    """The limit of K (axis 0) or B (1) without active damping, by trials of 90 s."""
+    """Return the limit of K (axis 0) or B (1) without active damping, by trials of 90 s."""
     params = LimitsParams(Conditions(scene), levels=(0.0,), axes=(axis,), base=base, seeds=seeds)
     return run_limits(plan_limits(params), TrialStore(None)).limits[0]
 
 
 def measure() -> Iterator[Figure]:
-    """The gain of the rigid row."""
+    """Yield the gain of the rigid row."""
     sequential, in_flight = (
         tried_limit(rigid(PHYSICAL_NS_PER_M, delay)).value
         for delay in (SEQUENTIAL_PERIODS, IN_FLIGHT_PERIODS)

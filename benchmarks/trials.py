@@ -1,9 +1,10 @@
-"""1,000 trials of 90 s beside C of the same scene, and what a new scene costs before its first one.
+"""1,000 trials of 90 s compared with C of the same scene, and the cost of a new scene before its
+first one.
 
 Wall time of `simulate` on all cores, warm, against the C of the same states, friction and sub-steps
-on all cores, in turns and for as many steps, least of the rounds of each. The first kernel comes in
-fresh processes with an empty cache folder and again with what the first left there: information,
-since the compiler's time is not ours. Last the peak memory of a process that keeps sums only.
+on all cores, in turns and for as many steps, minimum of the rounds of each. The first kernel is
+timed in fresh processes with an empty cache folder and again with the cached result: information,
+since the compiler's time is external. Last the peak memory of a process that keeps sums only.
 """
 
 import json
@@ -37,7 +38,7 @@ PROCESS_S = 120.0
 
 
 def measure() -> Iterator[Figure]:
-    """Timings first, then fresh processes."""
+    """Yield timings first, then fresh processes."""
     weir = load_scene(SCENE)
     level_ns_per_m = weir.active_damping[0].level_ns_per_m
     yield _batch("trials_1000_c", model(), model(), 1, 0.0)
@@ -95,7 +96,7 @@ def _first_kernel() -> Iterator[Figure]:
 
 
 def _ask(question: str, cache: str | None) -> float:
-    """Answer of a fresh `trials_worker`. BenchError when it fails."""
+    """Return the answer of a fresh `trials_worker`. BenchError if it fails."""
     variables = {**environment(), **({"XDG_CACHE_HOME": cache} if cache else {})}
     command = [sys.executable, "-m", "benchmarks.trials_worker", question]
     done = subprocess.run(

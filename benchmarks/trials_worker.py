@@ -1,4 +1,4 @@
-"""One question about the batch engine, answered in a fresh process as a JSON number on standard
+"""One measurement of the batch engine in a fresh process, printed as a JSON number on standard
 output.
 
 python -m benchmarks.trials_worker first   seconds from importing the engine's kernel machinery to
@@ -18,7 +18,9 @@ SECONDS = 90.0
 
 
 def first() -> float:
-    """numba and numpy are imported before: they are the same for any compiled program."""
+    """Time the first result. numba and numpy are imported before: they are common to any compiled
+    program.
+    """
     importlib.import_module("numba")
 
     from benchmarks.engine_scene import environments, model
@@ -32,9 +34,7 @@ def first() -> float:
 
 
 def memory() -> float:
-    """Peak resident set of this program; what getrusage says begins with that of the process
-    which started it.
-    """
+    """Return the peak resident set of this program; that of getrusage begins with the parent's."""
     from benchmarks.engine_scene import environments, model
     from hapticd.zwidth.engine.batch import simulate
 

@@ -1,5 +1,5 @@
-"""Wake-up latency of the servo's wait against cyclictest: same priority, same core, same
-period, block by block.
+"""Wake-up latency of the servo's wait against cyclictest: same priority, same core, same period,
+block by block.
 """
 
 import shutil
@@ -43,7 +43,7 @@ Blocks = dict[str, list[list[int]]]
 
 
 def measure() -> Iterator[Figure]:
-    """The five figures; ratios of medians over blocks."""
+    """Yield the five figures; ratios of medians over blocks."""
     with Worker("wake_worker") as worker:
         quiet = _blocks(worker, ROUNDS, SAMPLES, {"spin": SPIN_US, "sleep": 0.0})
         for name, kind, fraction in (
@@ -82,7 +82,7 @@ def _figure(name: str, blocks: Blocks, kind: str, fraction: float, note: str) ->
 
 @contextmanager
 def _stress() -> Iterator[None]:
-    """The machine under load: two busy cores, memory, disk and sync."""
+    """Put the machine under load: two busy cores, memory, disk and sync."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         process = subprocess.Popen(["stress-ng", *LOAD, "--temp-path", folder, "--quiet"])
         try:

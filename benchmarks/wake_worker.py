@@ -1,4 +1,4 @@
-"""The servo's own wait, timed: how far behind its deadline each of `samples` wakes came."""
+"""The servo's own wait, timed: lateness of each of `samples` wakes behind its deadline."""
 
 import time
 from typing import Any
@@ -10,11 +10,11 @@ from hapticd.servo.wait import first_deadline, spinning_wait
 
 
 def _nothing() -> None:
-    """A wake-up alone: no tick to rehearse."""
+    """Do nothing: a wake-up alone, without a tick to rehearse."""
 
 
 def lateness_ns(request: dict[str, Any]) -> list[int]:
-    """Wakes of one block; deadlines that have passed are dropped, as in the servo and in
+    """Return the lateness of one block; past deadlines are dropped, as in the servo and in
     cyclictest.
     """
     period_ns = int(request["period_us"] * NS_PER_US)

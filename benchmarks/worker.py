@@ -1,9 +1,8 @@
-"""A measuring process on the servo's core that runs one block whenever it is asked, and sleeps
-between.
+"""A measuring process on the servo's core that runs one block on each request, and sleeps between.
 
-Protocol, one JSON value per line: the worker says what the machine granted it, then answers each
-request. It is started anew for a part and lives through all blocks of it, so that a pair is
-interleaved without start-up effects.
+Protocol, one JSON value per line: the worker reports the granted rights, then answers each request.
+It is started once for a part and runs all of its blocks, so that a pair is interleaved without
+start-up effects.
 """
 
 import json
@@ -25,12 +24,12 @@ END_S = 10.0
 
 
 class BenchError(Exception):
-    """A part could not be measured; the message says why and what to do."""
+    """A part could not be measured; the message gives the reason and the remedy."""
 
 
 def environment(*folders: Path) -> dict[str, str]:
-    """Environment of a child that imports hapticd and benchmarks from this checkout, and others
-    from `folders`.
+    """Return the environment of a child that imports hapticd and benchmarks from this checkout, and
+    others from `folders`.
     """
     return {
         **os.environ,
@@ -41,13 +40,15 @@ def environment(*folders: Path) -> dict[str, str]:
 
 
 def started(module: str, arguments: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
-    """Module `benchmarks.<module>` as a process that tells what it finds, one JSON value a line."""
+    """Start module `benchmarks.<module>` as a process that prints one JSON value a line."""
     command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
     return subprocess.Popen(command, env=environment(), cwd=ROOT, stdout=subprocess.PIPE)
 
 
 def next_json(process: "subprocess.Popen[bytes]", name: str) -> Any:
-    """What a process of `started` says next. BenchError, by `name`, when it has ended instead."""
+    """Return the next output of a process of `started`. BenchError, with `name`, if it has ended
+    instead.
+    """
     assert process.stdout is not None
     line = process.stdout.readline()
     if not line:
@@ -56,13 +57,13 @@ def next_json(process: "subprocess.Popen[bytes]", name: str) -> Any:
 
 
 def servo_core() -> int:
-    """The core that the servo takes: the last one allowed."""
+    """Return the core of the servo: the last one allowed."""
     return max(os.sched_getaffinity(0))
 
 
 class Worker:
-    """Module `benchmarks.<module>` as a process of `python`, which needs nothing but what it finds
-    in this interpreter's folder of libraries; use it as a context manager. BenchError when it dies.
+    """Module `benchmarks.<module>` as a process of `python`, with this interpreter's folder of
+    libraries; use it as a context manager. BenchError if it dies.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class Worker:
         self.granted: dict[str, dict[str, Any]] = self._reply()
 
     def ask(self, **request: Any) -> Any:
-        """Run one block; its answer."""
+        """Run one block and return its answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(request) + "\n")
         self.process.stdin.flush()
@@ -90,7 +91,7 @@ class Worker:
 
     @property
     def note(self) -> str:
-        """What the machine refused; empty when it granted everything."""
+        """The refused rights; empty if all were granted."""
         return "; ".join(
             f"{name} {one['text']}" for name, one in self.granted.items() if not one["granted"]
         )
@@ -112,7 +113,7 @@ class Worker:
     def __exit__(self, *_: object) -> None:
         try:
             if self.process.poll() is None:
-                self.process.communicate(timeout=END_S)  # closes its stdin: it ends
+                self.process.communicate(timeout=END_S)  # closes its stdin, which ends it
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.communicate()
@@ -123,9 +124,7 @@ def serve(
     realtime: RealtimeParams,
     begin: Callable[[], None] = lambda: None,
 ) -> None:
-    """The worker's side: take real-time rights, begin, say what was granted, answer until stdin
-    ends.
-    """
+    """Run the worker: take real-time rights, begin, report them, answer until stdin ends."""
     granted = host.prepare(realtime)
     begin()
     print(json.dumps({name: one._asdict() for name, one in granted.items()}), flush=True)
