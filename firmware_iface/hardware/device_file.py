@@ -1,7 +1,7 @@
-"""A device file whose electronics come from the netlist: weir2008's mechanics, the circuit's
-numbers, each with the interval in which 95 % of circuits out of parts within their tolerances lie.
+"""A device file with electronics from the netlist: weir2008's mechanics, and the circuit's numbers
+with the interval of 95 % of circuits whose parts are within tolerance.
 
-What is measured of one circuit, as a laboratory would on the bench (`measured`):
+`measured` determines these numbers of one circuit, like a laboratory on the bench:
 
     bandwidth of the estimate, of the amplifier   -3 dB
     dR + s dL                                     back-EMF of a held rotor per ampere, at 200 Hz
@@ -39,7 +39,7 @@ HZ = np.geomspace(10.0, 1e5, 81)
 AT_HZ = 200.0  # where dR and dL are read: above the mechanics, below the lags
 ROOT = Path(__file__).parents[2]
 BASE = ROOT / "config" / "devices" / "weir2008.toml"
-SERIES = ("r_sense", "r_wire", "r_on", "r_drop")  # ohm beside the winding
+SERIES = ("r_sense", "r_wire", "r_on", "r_drop")  # ohm in addition to the winding
 SWITCH_OHM = 0.01  # of the enabled output in power_amplifier.sub
 INDUCTIVE = ("l_motor", "l_eddy", "l_wire", "l_sense")  # H that the current meets at low frequency
 Measured = dict[str, float]
@@ -50,7 +50,7 @@ ABOUT = """\
 
 
 def measured(values: dict[str, float] | None = None) -> Measured:
-    """Numbers of one circuit, in SI units."""
+    """Return the numbers of one circuit, in SI units."""
     given = dict(values or {})
     k_f = given.get("k_f", K_F)
     estimate = estimate_gain(HZ, given)
@@ -70,14 +70,18 @@ def measured(values: dict[str, float] | None = None) -> Measured:
 
 
 def _sum_a_per_v(given: dict[str, float]) -> float:
-    """Current per volt of the scale factor's output [A/V], by its resistors and converter."""
+    """Return the current per volt of the scale factor's output [A/V], from its resistors and
+    converter.
+    """
     value = {name: given.get(name, VALUES[name].value) for name in VALUES}
     sense = value["g_ina"] * value["r_sense"]
     return value["g_dac"] * value["r_i"] / value["r_b"] / sense
 
 
 def noise_psd() -> float:
-    """One-sided density [(m/s)^2/Hz] of the estimate at 100 Hz, the rotor held, no damping."""
+    """Return the one-sided density [(m/s)^2/Hz] of the estimate at 100 Hz, with the rotor held and
+    no damping.
+    """
     text = deck(
         [".noise v(estimate) Vdac lin 1 100 100"],
         ["all"],
@@ -89,7 +93,7 @@ def noise_psd() -> float:
 
 
 def intervals(circuits: int = CIRCUITS, seed: int = SEED) -> dict[str, tuple[float, float]]:
-    """The ends between which 95 % of `circuits` lie, by name of `measured`."""
+    """Return the ends of the central 95 % of `circuits`, by name of `measured`."""
     rng = np.random.default_rng(seed)
     found = [measured(draw(rng)) for _ in range(circuits)]
     return {name: _ends(one[name] for one in found) for name in found[0]}
@@ -101,7 +105,7 @@ def _ends(numbers: Iterable[float]) -> tuple[float, float]:
 
 
 def written(nominal: Measured, spread: dict[str, tuple[float, float]], circuits: int) -> str:
-    """The text of the device file."""
+    """Return the text of the device file."""
     schema, *lines = BASE.read_text().split("\n")
     body = "\n".join(line for line in lines if not line.startswith("# "))
     document: Any = tomlkit.parse(f"{schema}\n{ABOUT}{body}")
@@ -121,7 +125,7 @@ def written(nominal: Measured, spread: dict[str, tuple[float, float]], circuits:
     half["full_scale_ns_per_m"] = float(f"{0.5 * (high - low):.3g}")
     document["active_damping"]["half_width_95"] = half
     for scale in (document["force"], document["active_damping"]):
-        scale.pop("measured_by", None)  # computed from parts: nothing was measured
+        scale.pop("measured_by", None)  # computed from parts, not measured
     _put(document["limits"], "active_damping_ns_per_m", 9.9, "N s/m")
     _model(document["model"], nominal, spread, circuits)
     return tomlkit.dumps(document)
@@ -168,13 +172,13 @@ def _total(value: dict[str, float], names: Iterable[str]) -> float:
 
 
 def _text(what: str, ends: tuple[float, float], unit: str, circuits: int) -> str:
-    """An interval in words, of a number whose table has no field for it."""
+    """Return an interval as text, for a number whose table has no field for it."""
     low, high = ends
     return f"{what}: {low:.4g} to {high:.4g} {unit} in 95 % of {circuits} circuits"
 
 
 def _put(table: Any, key: str, value: float, comment: str) -> None:
-    """One number with six digits and its comment."""
+    """Set one number with six digits and its comment."""
     if key in table:
         table[key] = tomlkit.item(float(f"{value:.6g}"))
     else:

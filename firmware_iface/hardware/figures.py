@@ -1,5 +1,5 @@
-"""The figure of what a laboratory has to know: nine panels out of ngspice, and one of the model
-that the netlist wrote.
+"""The figure of the circuit studies for a laboratory: nine panels from ngspice, and one of the
+model with the netlist's numbers.
 """
 
 from collections.abc import Callable

@@ -1,12 +1,12 @@
-"""How much active damping is left in an impact, by the model that the netlist wrote.
+"""Active damping that remains in an impact, by the model with the netlist's numbers.
 
-The display, with a hand of 0.1 kg on its endpoint, meets a virtual wall, K = 500 N/m and
-B = 2 N s/m, at a speed. Until it turns round, the motor gives command and active damping together.
-What the damping had of it:
+The display, with a hand of 0.1 kg on its endpoint, meets a virtual wall, K = 500 N/m and B = 2 N
+s/m, at a speed. Until it turns round, the motor produces command and active damping together. The
+share of the damping:
 
     delivered = integral of (alpha F_r - F) v / integral of v^2
 
-F_r is the command behind its smoothing filter, F the motor force, alpha as in `studies`. The law is
+F_r is the command after its smoothing filter, F the motor force, alpha as in `studies`. The law is
 that of hapticd without its velocity filter, at 1 kHz, limited to 8 N.
 """
 
@@ -35,8 +35,8 @@ EFFECTS = (
 
 
 def delivered(speed_m_per_s: float, level_ns_per_m: float, current_a: float | None = None) -> float:
-    """Damping [N s/m] delivered on the way into the wall by an amplifier that gives `current_a` at
-    most, by default one without limits. `level_ns_per_m` is one of `LEVELS`.
+    """Return the damping [N s/m] delivered on the way into the wall by an amplifier limited to
+    `current_a`, by default without limits. `level_ns_per_m` is one of `LEVELS`.
     """
     params, plant = _board(current_a)
     composed = params.plant
@@ -62,7 +62,7 @@ def delivered(speed_m_per_s: float, level_ns_per_m: float, current_a: float | No
 
 
 def _law(position_m: float, step_m: float) -> float:
-    """Force [N] of the wall at 0, `step_m` after the position of the tick before."""
+    """Return the force [N] of the wall at 0, `step_m` after the position of the tick before."""
     asked = STIFFNESS_N_PER_M * position_m + VIRTUAL_DAMPING_NS_PER_M * step_m * RATE_HZ
     return -min(asked, COMMAND_N) if position_m > 0.0 else 0.0
 

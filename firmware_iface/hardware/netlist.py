@@ -1,7 +1,7 @@
-"""The netlists as decks for ngspice: values, one run in batch mode, numbers out of its raw file.
+"""The netlists as decks for ngspice: values, one run in batch mode, results from its raw file.
 
-`VALUES` is read from values.inc, where each value stands with unit, tolerance and source. A run
-gets other values by name. ngspice runs as a child process and is no part of this program.
+`VALUES` is read from values.inc, which has each value with unit, tolerance and source. A run can
+override values by name. ngspice runs as a child process and is not part of this program.
 """
 
 import re
@@ -28,7 +28,7 @@ SOURCES = (
 )
 OPTIONS = ".options reltol=1e-5 abstol=1e-10 vntol=1e-8 method=gear maxord=2 rshunt=1e12"
 INPUTS = {"dac": "{v_ref/2}", "ref": "{v_ref}", "level": "{d_level}", "trim": "{trim}"}
-# words of ngspice: an analysis that ended early; an operating point out of a transient of 10 us,
+# messages of ngspice: an analysis that ended early; an operating point from a transient of 10 us,
 # which has not settled
 FAILED = ("aborted", "Transient op started")
 RUN_S = 120.0  # longer than any run of these decks takes on a slow machine
@@ -37,7 +37,7 @@ Waves = dict[str, np.ndarray]
 
 
 class NgspiceError(RuntimeError):
-    """ngspice could not run a deck; its own words."""
+    """ngspice could not run a deck; its own message."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Value:
 
     @property
     def half_width(self) -> float:
-        """In the value's unit."""
+        """Half of the tolerance interval, in the value's unit."""
         return self.tolerance * abs(self.value) if self.value else self.tolerance
 
 
@@ -69,7 +69,7 @@ VALUES = _read(FOLDER / "values.inc")
 
 
 def draw(rng: np.random.Generator) -> dict[str, float]:
-    """One circuit of parts within their tolerances, which are taken as uniform limits."""
+    """Return one circuit of parts within their tolerances, drawn from uniform distributions."""
     return {
         one.name: one.value + one.half_width * float(rng.uniform(-1.0, 1.0))
         for one in VALUES.values()
@@ -84,10 +84,10 @@ def deck(
     inputs: Mapping[str, str] | None = None,
     extra: Sequence[str] = (),
 ) -> str:
-    """The text of a deck.
+    """Return the text of a deck.
 
-    `inputs`: what drives the nodes dac, ref, level, trim, enable, hold (source text, V) and push
-    (A: N on the rotor); left out, the board is on, at rest, and asks for 0 N.
+    `inputs`: sources of the nodes dac, ref, level, trim, enable, hold (source text, V) and push (A:
+    N on the rotor). By default the board is on, at rest, and commands 0 N.
     """
     driven = {**INPUTS, "enable": "1", "hold": "1", **(inputs or {})}
     push = driven.pop("push", "0")
@@ -112,7 +112,9 @@ def deck(
 
 
 def run(text: str) -> list[Waves]:
-    """The plots of a deck in the order of its analyses: arrays (points,) by name. NgspiceError."""
+    """Return the plots of a deck in the order of its analyses: arrays (points,) by name.
+    NgspiceError.
+    """
     with tempfile.TemporaryDirectory(prefix="circuit-") as folder:
         source = Path(folder) / "deck.cir"
         raw = Path(folder) / "deck.raw"
@@ -131,7 +133,9 @@ def run(text: str) -> list[Waves]:
 
 
 def _plots(content: bytes) -> list[Waves]:
-    """A binary raw file: header lines, then points x variables of doubles or complex doubles."""
+    """Parse a binary raw file: header lines, then points x variables of doubles or
+    complex doubles.
+    """
     plots = []
     while content:
         head, _, content = content.partition(b"Binary:\n")

@@ -10,7 +10,7 @@ PREFIXES = ((1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, 
 
 
 def shown(name: str) -> str:
-    """The value of a part as a schematic has it: 6.65k, 3.3n."""
+    """Return the value of a part in schematic notation: 6.65k, 3.3n."""
     value = VALUES[name].value
     size, prefix = next(pair for pair in PREFIXES if value >= pair[0])
     return f"{value / size:g}{prefix}"

@@ -1,11 +1,11 @@
 """The circuit in lock-step with a program: libngspice, its inputs held between two moments.
 
 ngspice chooses its own time steps. A breakpoint at each moment up to which the inputs are known
-makes it land there exactly; there it waits, in a thread of its own, until the next inputs are
-known. So nothing is ever computed from an input of the future, and no step is taken back across a
-moment. The library holds one circuit; a process runs one `Transient` at a time.
+makes it stop there exactly; there it waits, in its own thread, until the next inputs are known. So
+no result depends on a future input, and no step is rejected across a moment. The library holds one
+circuit; a process runs one `Transient` at a time.
 
-What would break it: inputs that change between moments, or a deck whose sources are not `external`.
+Limitations: inputs that change between moments, or a deck whose sources are not `external`.
 """
 
 import ctypes
@@ -49,7 +49,7 @@ _SYNC = CFUNCTYPE(c_int, c_double, POINTER(c_double), c_double, c_int, c_int, c_
 
 
 class _Library:
-    """The one instance that a process has."""
+    """The only instance in a process."""
 
     def __init__(self) -> None:
         self.running: Transient | None = None
@@ -112,8 +112,8 @@ def _loaded() -> _Library:
 class Transient:
     """A transient run of `deck`, whose sources named in `inputs` are external. A context manager.
 
-    `inputs` holds the volts (or A) of each source by its name, which may be changed between calls
-    of `advance`. The deck's .tran has to begin at once (uic) and to end later than anybody asks.
+    `inputs` holds the volts (or A) of each source by its name; it may be changed between calls of
+    `advance`. The deck's .tran has to begin at once (uic) and to end later than any call.
     """
 
     def __init__(self, deck: str, inputs: Mapping[str, float]) -> None:
@@ -138,7 +138,7 @@ class Transient:
         self.close()
 
     def advance(self, until_s: float) -> dict[str, float]:
-        """The saved nodes at `until_s`, the inputs held as they are from now to then."""
+        """Return the saved nodes at `until_s`, with constant inputs from now to then."""
         if not self._begun:
             self._begin()
         self._horizon_s = until_s
@@ -160,7 +160,7 @@ class Transient:
             raise NgspiceError(f"the run ended before {self._horizon_s} s: {said}")
 
     def accepted(self, values: dict[str, float]) -> None:
-        """One accepted point, from the thread of ngspice."""
+        """Receive one accepted point, from the thread of ngspice."""
         self.values = values
         if self._closing or values["time"] < self._horizon_s - NEAR_S:
             return
@@ -169,12 +169,12 @@ class Transient:
         self._go.wait(WAIT_S)
 
     def over(self) -> None:
-        """The run has ended by itself."""
+        """Note that the run has ended by itself."""
         self._closing = True
         self._there.set()
 
     def close(self) -> None:
-        """End the run and give the library back."""
+        """End the run and release the library."""
         self._closing = True
         self._go.set()
         if self._begun:

@@ -1,12 +1,12 @@
-"""What a laboratory has to know of the circuit, each as a number out of ngspice.
+"""Properties of the circuit for a laboratory, each as a number from ngspice.
 
-The circuit's impedance is -F / v with no torque commanded: what it adds to the device. At low
+The circuit's impedance is -F / v with no torque commanded: its contribution to the device. At low
 frequency it is (Weir 2008, section 4)
 
     b alpha,   alpha = 1 / (1 + b dR / K^2),   b = level x full scale,   dR = R - R^
 
-so a winding that is colder than R^ (over-compensated, dR < 0) makes alpha exceed 1, and at
-b |dR| / K^2 = 1 the circuit latches up. `deep` is the share of that: at most DEEPEST is allowed.
+so a winding that is colder than R^ (over-compensated, dR < 0) makes alpha exceed 1, and at b |dR| /
+K^2 = 1 the circuit latches up. `deep` is the share of that: at most DEEPEST is allowed.
 """
 
 from collections.abc import Mapping
@@ -48,14 +48,14 @@ R_HAT_OHM = VALUES["r_v"].value / VALUES["r_r"].value
 V_PER_A = VALUES["g_ina"].value * VALUES["r_sense"].value
 V_PER_V = VALUES["r_f"].value / VALUES["r_v"].value * VALUES["g_dif"].value
 FULL_NS_PER_M = K_F * K_F * V_PER_V * VALUES["r_i"].value / VALUES["r_b"].value / V_PER_A
-PROBING = 1e-6  # share of the scale factor that opens the loop of the damping: nothing comes back
+PROBING = 1e-6  # share of the scale factor that opens the loop of the damping: no feedback
 FORCE, ROTOR, ESTIMATE = "v(force)", "v(rotor)", "v(estimate)"
 
 Values = Mapping[str, float]
 
 
 def level_for(active_damping_ns_per_m: float) -> dict[str, float]:
-    """The values that command an active damping; beyond full scale by a smaller r_b."""
+    """Return the values that command an active damping; beyond full scale by a smaller r_b."""
     share = active_damping_ns_per_m / FULL_NS_PER_M
     if share <= 1.0:
         return {"d_level": share}
@@ -63,17 +63,17 @@ def level_for(active_damping_ns_per_m: float) -> dict[str, float]:
 
 
 def deep(active_damping_ns_per_m: float, delta_ohm: float, k_f: float = K_F) -> float:
-    """b |dR| / K^2 of an over-compensation by `delta_ohm` [ohm]."""
+    """Return b |dR| / K^2 of an over-compensation by `delta_ohm` [ohm]."""
     return active_damping_ns_per_m * delta_ohm / k_f**2
 
 
 def compensating(ohm: float) -> dict[str, float]:
-    """The values that make the circuit take the winding for `ohm`."""
+    """Return the values for which the circuit assumes a winding of `ohm`."""
     return {"r_r": VALUES["r_v"].value / ohm}
 
 
 def copper_ohm(celsius: float) -> float:
-    """The winding's resistance [ohm] at a temperature [degC]."""
+    """Return the winding's resistance [ohm] at a temperature [degC]."""
     cold = VALUES["r_motor"].value
     return cold * (1.0 + VALUES["tc_cu"].value * (celsius - VALUES["t_motor"].value))
 
@@ -81,33 +81,37 @@ def copper_ohm(celsius: float) -> float:
 def impedance(
     active_damping_ns_per_m: float, hz: np.ndarray, values: Values | None = None
 ) -> np.ndarray:
-    """Complex -F/v [N s/m] (points,) at the frequencies `hz` (points,), logarithmically spaced."""
+    """Return the complex -F/v [N s/m] (points,) at the frequencies `hz` (points,), logarithmically
+    spaced.
+    """
     waves = _ac(hz, {**level_for(active_damping_ns_per_m), **(values or {})}, {"push": "dc 0 ac 1"})
     return -waves[FORCE] / waves[ROTOR]
 
 
 def shorted(hz: np.ndarray, values: Values | None = None) -> np.ndarray:
-    """-F/v [N s/m] (points,) with the emergency stop pressed: no electronics acts (Eq. 3)."""
+    """Return -F/v [N s/m] (points,) with the emergency stop pressed: without
+    electronics (Eq. 3).
+    """
     inputs = {"push": "dc 0 ac 1", "hold": "0", "enable": "0"}
     waves = _ac(hz, {**level_for(1.74), **(values or {})}, inputs)
     return -waves[FORCE] / waves[ROTOR]
 
 
 def estimate_gain(hz: np.ndarray, values: Values | None = None) -> np.ndarray:
-    """Complex estimate/v [V s/m] (points,) without damping."""
+    """Return the complex estimate/v [V s/m] (points,) without damping."""
     waves = _ac(hz, dict(values or {}), {"push": "dc 0 ac 1"})
     return waves[ESTIMATE] / waves[ROTOR]
 
 
 def amplifier_gain(hz: np.ndarray, values: Values | None = None) -> np.ndarray:
-    """Complex current over what the sum asks for [1] (points,), the rotor held."""
+    """Return the complex current over the request of the sum [1] (points,), with the rotor held."""
     waves = _injected(hz, dict(values or {}))
     return waves[FORCE] / K_F * V_PER_A / VALUES["r_i"].value
 
 
 def residual_ohm(hz: np.ndarray, values: Values | None = None) -> np.ndarray:
-    """What the circuit leaves of R + s L [ohm], complex (points,): back-EMF that a held rotor
-    seems to have, per ampere. Its lag, that of the velocity estimate, is taken out.
+    """Return the uncompensated part of R + s L [ohm], complex (points,): apparent back-EMF of a
+    held rotor, per ampere. The lag of the velocity estimate is removed.
     """
     given = dict(values or {})
     waves = _injected(hz, given)
@@ -116,13 +120,15 @@ def residual_ohm(hz: np.ndarray, values: Values | None = None) -> np.ndarray:
 
 
 def inductance_left_h(hz: float, values: Values | None = None) -> float:
-    """dL [H] at one frequency."""
+    """Return dL [H] at one frequency."""
     (left,) = residual_ohm(np.array([hz]), values)
     return float(left.imag / (tau * hz))
 
 
 def corner_hz(hz: np.ndarray, gain: np.ndarray) -> float:
-    """The frequency [Hz] at which |gain| (points,) first falls 3 dB below its first value."""
+    """Return the frequency [Hz] at which |gain| (points,) first falls 3 dB below its
+    first value.
+    """
     size = np.abs(gain) / np.abs(gain[0])
     k = int(np.argmax(size < np.sqrt(0.5)))
     slope = np.log(size[k] / size[k - 1]) / np.log(hz[k] / hz[k - 1])
@@ -130,8 +136,9 @@ def corner_hz(hz: np.ndarray, gain: np.ndarray) -> float:
 
 
 def ceiling(values: Values | None = None) -> tuple[float, float]:
-    """(active damping [N s/m], frequency [Hz]) at which the circuit rings: 180 degrees and gain 1
-    of the loop estimate, scale factor, sum, amplifier, winding. (inf, nan) without such a point.
+    """Return (active damping [N s/m], frequency [Hz]) at which the circuit oscillates: 180 degrees
+    and gain 1 of the loop estimate, scale factor, sum, amplifier, winding. (inf, nan) without such
+    a point.
     """
     hz = np.geomspace(100.0, 1e6, 801)
     waves = _injected(hz, {**(values or {}), "d_level": PROBING}, free=True)
@@ -146,7 +153,9 @@ def ceiling(values: Values | None = None) -> tuple[float, float]:
 
 
 def noise_mn(active_damping_ns_per_m: float, high_hz: float = 1e3) -> float:
-    """Rms [mN] of the motor's force from 1 Hz to `high_hz`, the device free to move."""
+    """Return the rms [mN] of the motor's force from 1 Hz to `high_hz`, with the device free to
+    move.
+    """
     text = deck(
         [f".noise v(force) Vdac dec 20 1 {high_hz!r}"],
         ["all"],
@@ -159,7 +168,7 @@ def noise_mn(active_damping_ns_per_m: float, high_hz: float = 1e3) -> float:
 
 
 def resting(active_damping_ns_per_m: float, values: Values | None = None) -> tuple[float, float]:
-    """(force [N] on a rotor that is held, creep [m/s] of a free one) with 0 N commanded."""
+    """Return (force [N] on a held rotor, creep [m/s] of a free one) with 0 N commanded."""
     given = {**level_for(active_damping_ns_per_m), **(values or {})}
     held = run(deck([".op"], [FORCE], {**given, "b_rotor": 1e6}))[0][FORCE][0]
     free = run(deck([".op"], [ROTOR], given))[0][ROTOR][0]
@@ -169,7 +178,7 @@ def resting(active_damping_ns_per_m: float, values: Values | None = None) -> tup
 def driven(
     volt: float, speed_m_per_s: float, active_damping_ns_per_m: float, values: Values | None = None
 ) -> float:
-    """Force [N] at a speed that something outside keeps up, `volt` from the torque DAC."""
+    """Return the force [N] at an externally maintained speed, with `volt` from the torque DAC."""
     text = deck(
         [".op"],
         [FORCE],
@@ -186,7 +195,7 @@ def kicked(
     values: Values | None = None,
     step_s: float = 2e-5,
 ) -> Waves:
-    """The circuit after a push of 10 mN for 1 ms: time, force, rotor."""
+    """Simulate the circuit after a push of 10 mN for 1 ms: time, force, rotor."""
     text = deck(
         [f".tran {step_s!r} {seconds!r} 0 {step_s!r}"],
         [FORCE, ROTOR, ESTIMATE],
@@ -197,7 +206,9 @@ def kicked(
 
 
 def growth_per_s(waves: Waves, first_s: float, last_s: float, width_s: float) -> float:
-    """Growth [1/s] of |force| between two windows of `width_s` that begin at these times."""
+    """Return the growth [1/s] of |force| between two windows of `width_s` that begin at these
+    times.
+    """
     time, size = waves["time"], np.abs(waves[FORCE])
     first, last = (size[(time >= t) & (time < t + width_s)].max() for t in (first_s, last_s))
     return float(np.log(last / first) / (last_s - first_s))
@@ -206,7 +217,7 @@ def growth_per_s(waves: Waves, first_s: float, last_s: float, width_s: float) ->
 def switched(
     inputs: Mapping[str, str], seconds: float = 0.02, values: Values | None = None
 ) -> Waves:
-    """A held rotor while inputs of the board change: time, force."""
+    """Simulate a held rotor while inputs of the board change: time, force."""
     text = deck(
         [f".tran 10u {seconds!r} 0 10u"], [FORCE], {"b_rotor": 1e6, **(values or {})}, inputs
     )
@@ -214,7 +225,7 @@ def switched(
 
 
 def emergency_stop(speed_m_per_s: float, seconds: float = 0.03) -> Waves:
-    """A rotor driven at a speed, 4 N commanded, when the stop chain opens at 5 ms."""
+    """Simulate a rotor driven at a speed, 4 N commanded, when the stop chain opens at 5 ms."""
     text = deck(
         [f".tran 10u {seconds!r} 0 10u"],
         [FORCE, "v(amp)", "v(top)"],
@@ -231,7 +242,7 @@ def _ac(hz: np.ndarray, values: Values, inputs: Mapping[str, str]) -> Waves:
 
 
 def _injected(hz: np.ndarray, values: Values, free: bool = False) -> Waves:
-    """1 A into the sum of the current controller; the rotor held unless `free`."""
+    """Inject 1 A into the sum of the current controller; the rotor held unless `free`."""
     held = {} if free else {"b_rotor": 1e6}
     saved = [FORCE, ROTOR, ESTIMATE, "v(damped)"]
     text = deck([_sweep(hz)], saved, {**held, **values}, extra=["Iin 0 xcontrol.n dc 0 ac 1"])

@@ -1,5 +1,6 @@
-"""`python -m firmware_iface.pico.build [FOLDER] [NAME=VALUE ...]`: the firmware for a Raspberry Pi
-Pico, by gcc-arm-none-eabi alone. One version of the compiler makes the same bytes each time.
+"""`python -m firmware_iface.pico.build [FOLDER] [NAME=VALUE ...]`: build the firmware for a
+Raspberry Pi Pico, with gcc-arm-none-eabi alone. One version of the compiler gives the same bytes
+each time.
 
 FOLDER (default: build/pico) gets hapticd.uf2, .bin (flash from its start), .elf and .map. NAME is a
 macro of config.h.
@@ -36,10 +37,10 @@ def build(
     echo: bool = False,
     sources: Path = SOURCES,
 ) -> Path:
-    """Compile and link the firmware into `folder`; the path of its .uf2.
+    """Compile and link the firmware into `folder`; return the path of its .uf2.
 
     `defines` are macros of config.h, e.g. {"DAC_PART": "MCP4922"}. `sources` holds the files of
-    this folder, or changed copies of them; the reference firmware is taken as it is. `echo` writes
+    this folder, or changed copies of them; the reference firmware is used unchanged. `echo` writes
     each command to stdout. FileNotFoundError without the compiler; subprocess.CalledProcessError,
     with the compiler's text in `stderr`, if it refuses a source.
     """

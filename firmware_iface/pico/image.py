@@ -1,5 +1,5 @@
-"""The two things that a flash image of the RP2040 needs beside its bytes: the checksum behind the
-second boot stage (RP2040 datasheet 2.8.1.3.1), and the UF2 file that the board's drive takes.
+"""Two additions to a flash image of the RP2040: the checksum after the second boot stage (RP2040
+datasheet 2.8.1.3.1), and the UF2 file for the board's USB drive.
 """
 
 import struct
@@ -17,7 +17,7 @@ _POLYNOMIAL = 0x04C11DB7
 
 
 def boot_checksum(data: bytes) -> int:
-    """CRC-32 of the boot ROM: initial value FFFFFFFF, nothing reflected, nothing inverted."""
+    """Return the CRC-32 of the boot ROM: initial value FFFFFFFF, no reflection, no inversion."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24
@@ -28,13 +28,13 @@ def boot_checksum(data: bytes) -> int:
 
 
 def with_checksum(linked: bytes) -> bytes:
-    """The image from the start of flash on, as the boot ROM accepts it."""
+    """Return the image from the start of flash, as accepted by the boot ROM."""
     boot = linked[:BOOT_BYTES]
     return boot + struct.pack("<I", boot_checksum(boot)) + linked[BOOT_BYTES + 4 :]
 
 
 def uf2(image: bytes) -> bytes:
-    """The image as UF2 blocks for the RP2040, the last one filled with 0."""
+    """Return the image as UF2 blocks for the RP2040, the last one padded with 0."""
     pages = [image[at : at + BLOCK_BYTES] for at in range(0, len(image), BLOCK_BYTES)]
     return b"".join(_block(number, len(pages), page) for number, page in enumerate(pages))
 
