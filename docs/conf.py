@@ -1,5 +1,5 @@
-"""The documentation site: `make docs`. Pages that repeat a table of the program are made by
-generate.py before; the tutorials are run while the site is built.
+"""The documentation site: `make docs`. generate.py writes the pages that repeat a table of the
+program; the tutorials run during the build.
 """
 
 import sys
@@ -37,7 +37,7 @@ sphinx_gallery_conf = {
     "image_scrapers": ("pages.gallery.figures",),
     "within_subsection_order": "FileNameSortKey",
     "capture_repr": (),
-    "run_stale_examples": True,  # also where not the script but the package has changed
+    "run_stale_examples": True,  # also if only the package has changed
     "abort_on_example_error": True,
     "min_reported_time": 1e6,
     "write_computation_times": False,
@@ -48,7 +48,7 @@ sphinx_gallery_conf = {
 
 
 def setup(app: Any) -> None:
-    """Docstrings are plain text, and the first page lists the others."""
+    """Connect the converters: docstrings are plain text, and the first page lists the others."""
     app.connect("source-read", contents)
     app.connect("autodoc-process-docstring", as_text)
     app.connect("autodoc-process-signature", named)

@@ -1,13 +1,13 @@
-"""What each effect of a simulated device costs in time: `python docs/effect_costs.py` measures it,
-here and now, and writes docs/figures/effect-costs.json, which the page of effects shows.
+"""Time cost of each effect of a simulated device: `python docs/effect_costs.py` measures it on this
+machine, and writes docs/figures/effect-costs.json for the page of effects.
 
-The scene of the paper's Fig. 7 is the yardstick. An effect that it has is left out, another one is
-added, one at a time, and what that changes is a share of the yardstick, timed in turns with it.
+The scene of the paper's Fig. 7 is the yardstick. One effect at a time is left out, or added if the
+scene lacks it. The change is a share of the yardstick, timed in turns with it.
 
-A crowbar shorts the motor, so it stands in place of amplifier and damping circuit.
+A crowbar shorts the motor, so it replaces amplifier and damping circuit.
 
-What would break it: a machine that does something else meanwhile; shares then scatter by several
-per cent, and small ones mean nothing.
+Limitations: a machine with other load; shares then scatter by several percent, and small ones have
+no meaning.
 """
 
 import json
@@ -28,7 +28,7 @@ from hapticd.zwidth.engine.batch import simulate
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"
 YARDSTICK = "fig7"
-REPLACED = {"crowbar": {"amplifier", "damping_circuit"}}  # by an effect that has no room beside it
+REPLACED = {"crowbar": {"amplifier", "damping_circuit"}}  # by an incompatible effect
 # numbers of an effect that the device does not have
 MORE = """[model.velocity_highpass]
 corner_hz = 0.1
@@ -51,14 +51,14 @@ kind = "noise"
 
 
 def scene_file(folder: Path, name: str, effects: list[str]) -> Path:
-    """The yardstick's scene with other effects."""
+    """Write the yardstick's scene with other effects."""
     path = folder / f"{name}.toml"
     path.write_text(SCENE.format(effects=json.dumps(effects)) + MORE)
     return path
 
 
 class Timed:
-    """A scene that is ready to be timed, in the engine and as the whole stack."""
+    """A scene ready to be timed, in the engine and as the whole stack."""
 
     def __init__(self, path: Path) -> None:
         self.scene = load_scene(path)
@@ -72,15 +72,15 @@ class Timed:
             run()
 
     def seconds(self, way: str) -> float:
-        """Processor time of one run."""
+        """Return the processor time of one run."""
         begin = time.process_time_ns()
         self.ways[way]()
         return (time.process_time_ns() - begin) / NS_PER_S
 
 
 def share(yardstick: Timed, folder: Path, key: str, before: list[str]) -> dict[str, Any]:
-    """What the effect `key` adds to the engine and to the whole stack, as a share of the yardstick:
-    the median of many pairs, one timed right after the other.
+    """Return the cost of the effect `key` in the engine and in the whole stack, as a share of the
+    yardstick: the median of many pairs, timed in direct succession.
     """
     there = key in before
     replaced = [name for name in before if name not in REPLACED.get(key, {key})]

@@ -1,7 +1,7 @@
 """The figures of docs/first-day.md: `python docs/first_day.py`, from one blind rig of the tests.
 
-Steps that a figure shows are done on the rig SEED, in virtual time, so the same code gives the same
-bytes. Its truth is drawn beside what was found only here: the steps do not know it.
+The shown steps run on the rig SEED, in virtual time, so the same code gives the same bytes. The
+truth is drawn only here, for comparison: the steps do not have it.
 """
 
 import sys
@@ -24,14 +24,14 @@ FIGURE = DOCS / "figures" / "first-day.svg"
 
 
 def moved(axis, result: StepResult) -> None:
-    """The handle goes to positive x, and the counts fall or rise."""
+    """Draw the handle moving to positive x, with falling or rising counts."""
     counts = result.arrays["moving"]
     axis.plot(np.arange(len(counts)) / 1e3, counts / 1e3, color=BLUE)
     axis.set(title="encoder: moved to positive x", xlabel="time (s)", ylabel="thousand counts")
 
 
 def pushed(axis, result: StepResult) -> None:
-    """Two pushes, and where the handle went, by the encoder's new sign."""
+    """Draw two pushes, and the resulting motion, by the encoder's new sign."""
     for number, colour in ((0, BLUE), (1, ORANGE)):
         force = result.arrays[f"force_n_{number}"]
         position = result.arrays[f"position_m_{number}"]
@@ -45,7 +45,9 @@ def pushed(axis, result: StepResult) -> None:
 
 
 def hung(axis, result: StepResult) -> None:
-    """Commanded force at rest under each weight, from above and from below, and the line."""
+    """Draw the commanded force at rest under each weight, from above and from below,
+    and the line.
+    """
     weights = result.arrays["weights_n"]
     readings = result.arrays["readings_n"]
     slope, intercept = line(weights, readings.mean(axis=1)).values
@@ -58,7 +60,9 @@ def hung(axis, result: StepResult) -> None:
 
 
 def found(axis, results: list[StepResult], rig: BlindRig) -> None:
-    """What was found over what is true, with its interval; the newest where two steps found it."""
+    """Draw the found values over the true ones, with intervals; the newest if two steps
+    found it.
+    """
     known = {one.name: one for result in results for one in result.values if one.high > one.low}
     truths = {name: rig.true(name) for name in known if name not in LEFT_OUT}
     shown = [(known[name], true) for name, true in truths.items() if true]
@@ -72,8 +76,8 @@ def found(axis, results: list[StepResult], rig: BlindRig) -> None:
     axis.invert_yaxis()
 
 
-# those near 0, of which a share says nothing, and those that are the whole axis wide: how a lag is
-# parted into delay and smoothing
+# values near 0, for which a share has no meaning, and those as wide as the axis: the division of a
+# lag into delay and smoothing
 LEFT_OUT = (
     "delay",
     "smoothing",
@@ -85,12 +89,12 @@ LEFT_OUT = (
 
 
 def with_array(results: list[StepResult], name: str) -> StepResult:
-    """The result that was found from the array `name`."""
+    """Return the result that was computed from the array `name`."""
     return next(result for result in results if name in result.arrays)
 
 
 def main() -> None:
-    """Do the day and draw it."""
+    """Run the day and draw it."""
     with BlindRig(SEED) as rig, styled():
         day = first_day(rig)
         if day.error:

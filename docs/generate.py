@@ -21,7 +21,7 @@ ANALYSIS = Path(__file__).parent / "analysis.md"
 
 
 def pages() -> dict[str, str]:
-    """All generated pages by path."""
+    """Return all generated pages by path."""
     return {
         "configuration.md": settings_page("config", "Configuration"),
         "device.md": settings_page("device", "Device file"),
@@ -36,7 +36,7 @@ def pages() -> dict[str, str]:
 
 
 def write_pages(folder: Path) -> None:
-    """Write what has changed, remove what is no page any more."""
+    """Write changed pages, and remove obsolete ones."""
     wanted = pages()
     for path in folder.rglob("*.md"):
         if str(path.relative_to(folder)) not in wanted:
@@ -49,7 +49,7 @@ def write_pages(folder: Path) -> None:
 
 
 def analysis_page(text: str) -> str:
-    """The page on recordings, with the tables of fields and of bits as the program has them."""
+    """Return the page on recordings, with the program's tables of fields and of bits."""
     return replaced(replaced(text, "fields", fields_table()), "bits", bits_tables())
 
 

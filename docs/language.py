@@ -1,8 +1,8 @@
 """Count patterns of unidiomatic English in each page: `python docs/language.py [PAGE ...]`.
 
-The patterns are those that the twenty rules of CONTRIBUTING.md replace. Code, quotations, tables of
-the safety case and decision records are left out. A count shows where to read again; it is not a
-limit, since most patterns are right in some sentence.
+The twenty rules of CONTRIBUTING.md replace these patterns. Code, quotations, tables of the safety
+case and decision records are left out. A count shows where to read again. It is not a limit, since
+most patterns are right in some sentence.
 """
 
 import re
@@ -54,7 +54,9 @@ NOTHING = Count(0, 0, 0, 0, (0,) * len(PATTERNS))
 
 
 def prose(page: str) -> str:
-    """`page` without code, quotations, comments, link targets and the rows of the safety case."""
+    """Return `page` without code, quotations, comments, link targets and the rows of the safety
+    case.
+    """
     page = re.sub(r"^(```|~~~).*?^\1", "", page, flags=re.MULTILINE | re.DOTALL)
     page = re.sub(r"<!--.*?-->", "", page, flags=re.DOTALL)
     page = SAFETY_CASE.sub("", page)
@@ -65,7 +67,7 @@ def prose(page: str) -> str:
 
 
 def sentences(text: str) -> list[str]:
-    """Sentences of running text, list items, headings and cells of tables."""
+    """Return sentences of running text, list items, headings and cells of tables."""
     found: list[str] = []
     for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=[#|])", text):
         if block.lstrip().startswith("|"):
@@ -77,7 +79,7 @@ def sentences(text: str) -> list[str]:
 
 
 def count(page: str) -> Count:
-    """The counts of the Markdown text `page`."""
+    """Return the counts of the Markdown text `page`."""
     found = sentences(prose(page))
     lengths = [len(re.findall(r"[\w'’–./-]*\w", one)) for one in found]
     hits = (
@@ -94,14 +96,14 @@ def count(page: str) -> Count:
 
 
 def row(name: str, found: Count) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     cells = (found.words, found.sentences, found.long, found.chains, *found.patterns)
     total = found.chains + sum(found.patterns)
     return f"{name:34}" + "".join(f"{cell:>8}" for cell in (*cells, total))
 
 
 def report(paths: Iterable[Path]) -> str:
-    """The table of `paths`, with a last line for all of them."""
+    """Return the table of `paths`, with a last line for all of them."""
     names = ("words", "sent.", f">{MOST_WORDS}", "chains", *PATTERNS, "total")
     lines = [f"{'page':34}" + "".join(f"{name[:7]:>8}" for name in names)]
     total = NOTHING
@@ -114,7 +116,7 @@ def report(paths: Iterable[Path]) -> str:
 
 
 def pages() -> list[Path]:
-    """The pages that people read, decision records and the change log left out."""
+    """Return the pages for readers, without decision records and the change log."""
     found = (path for pattern in PAGES for path in sorted(ROOT.glob(pattern)))
     return [path for path in found if path.name not in LEFT_OUT]
 

@@ -1,7 +1,7 @@
-"""`make pictures`: the pictures of README and documentation, taken of the page itself.
+"""`make pictures`: screenshots of the page for README and documentation.
 
-A daemon on the simulated board and its page are started in a folder of their own and driven through
-the page in Debian's Chromium. In the moving picture a simulated hand holds the handle.
+A daemon on the simulated board and its page run in a temporary folder and are driven through the
+page in Debian's Chromium. In the animation a simulated hand holds the handle.
 """
 
 import os
@@ -26,9 +26,9 @@ SIZE = {"width": 1280, "height": 720}
 LOOK_MS = 200
 PATIENCE = 600  # looks
 COLOURS = 160
-PATIENT = "[safety]\ngateway_timeout_s = 30.0\n"  # a busy machine is no fault to be shown
+PATIENT = "[safety]\ngateway_timeout_s = 30.0\n"  # a busy machine must not show a fault
 PATIENCE_MS = 120_000
-# a grip that shakes the undamped device, slowly enough to be seen; no fault is to end it
+# a grip that destabilises the undamped device, slowly enough to be seen, without a fault
 HAND = """
 limit_cycle_faults = false
 
@@ -50,7 +50,7 @@ PLANE_DRAWN = "() => document.querySelector('#plane-note').textContent.startsWit
 
 
 def main() -> None:
-    """Take all pictures, or those that are named on the command line."""
+    """Take all pictures, or those named on the command line."""
     asked = sys.argv[1:] or ["still", "moving"]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
@@ -67,7 +67,7 @@ def main() -> None:
 
 @contextmanager
 def daemon(more: str = "") -> Iterator[str]:
-    """A daemon of its own, with `more` in its configuration; the URL of its page."""
+    """Start a separate daemon, with `more` in its configuration; yield the URL of its page."""
     with tempfile.TemporaryDirectory(prefix="hapticd-") as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         config = Path(folder) / "hapticd.toml"
@@ -83,7 +83,7 @@ def daemon(more: str = "") -> Iterator[str]:
 
 
 def page_of(process: "subprocess.Popen[bytes]") -> str:
-    """Where the page is, once it is there."""
+    """Return the address of the page, once it exists."""
     for _ in range(PATIENCE):
         place = console_place(daemon_folder(INSTANCE))
         if place is not None:
@@ -97,7 +97,7 @@ def page_of(process: "subprocess.Popen[bytes]") -> str:
 
 
 def opened(browser: Browser, url: str, scheme: str, scale: float = 1.5) -> Page:
-    """The page at the size of the pictures, with data."""
+    """Return the page at the size of the pictures, with data."""
     context = browser.new_context(
         viewport=SIZE,  # type: ignore[arg-type]
         color_scheme=scheme,  # type: ignore[arg-type]
@@ -112,16 +112,14 @@ def opened(browser: Browser, url: str, scheme: str, scale: float = 1.5) -> Page:
 
 
 def taken(page: Page, name: str) -> None:
-    """The picture of the whole page, with few colours so that the file is small; the page is
-    closed.
-    """
+    """Save a picture of the whole page, with few colours for a small file, and close the page."""
     drawn = Image.open(BytesIO(page.screenshot())).convert("RGB")
     drawn.quantize(COLOURS).save(FIGURES / f"{name}.png", optimize=True)
     page.context.close()
 
 
 def enabled(browser: Browser, url: str) -> None:
-    """A damped spring under noise: everything at work."""
+    """Show a damped spring under noise: everything active."""
     page = opened(browser, url, "light")
     page.click("#damping-switch")
     page.wait_for_selector("#damping-switch[aria-checked=true]")
@@ -135,7 +133,7 @@ def enabled(browser: Browser, url: str) -> None:
 
 
 def refused(browser: Browser, url: str) -> None:
-    """What is not passive, under policy refuse, in the dark."""
+    """Show a refused change that is not passive, in the dark scheme."""
     page = opened(browser, url, "dark")
     page.select_option("#policy", "refuse")
     page.wait_for_timeout(1000)
@@ -146,7 +144,7 @@ def refused(browser: Browser, url: str) -> None:
 
 
 def stopped(browser: Browser, url: str) -> None:
-    """After the space bar."""
+    """Show the page after the space bar."""
     page = opened(browser, url, "light")
     page.focus("#enable")
     page.wait_for_timeout(3000)
@@ -157,7 +155,7 @@ def stopped(browser: Browser, url: str) -> None:
 
 
 def moving(browser: Browser, url: str) -> None:
-    """Damping on and quiet, off and shaking, on and quiet, STOP: one picture that moves."""
+    """Record damping on and quiet, off and oscillating, on and quiet, STOP: one animation."""
     page = opened(browser, url, "light", 1.0)  # a smaller page leaves the servo its core
     page.click("#damping-switch")
     page.wait_for_selector("#damping-switch[aria-checked=true]")
@@ -185,7 +183,7 @@ def moving(browser: Browser, url: str) -> None:
 
 
 def frames_of(page: Page) -> list[Image.Image]:
-    """The page every FRAME_MS, or as often as the browser can, for SHOWN_MS."""
+    """Return the page every FRAME_MS, or as often as the browser can, for SHOWN_MS."""
     taken_frames = []
     begin_ns = time.monotonic_ns()
     for number in range(SHOWN_MS // FRAME_MS):

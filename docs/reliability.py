@@ -1,8 +1,8 @@
-"""Write the tables of docs/development/reliability.md from what was measured:
-`python docs/reliability.py`, after `make attack` and `make soak`.
+"""Write the tables of docs/development/reliability.md from the results of `make attack` and
+`make soak`: `python docs/reliability.py`.
 
-They come from build/attack.json, build/soak.json and build/soak_lockstep.json, each where it is
-there; the words are written by hand.
+They come from build/attack.json, build/soak.json and build/soak_lockstep.json, as far as these
+exist. The text is written by hand.
 """
 
 import json
@@ -16,11 +16,11 @@ DOCS = Path(__file__).parent
 PAGE = DOCS / "development" / "reliability.md"
 BUILD = DOCS.parent / "build"
 UNITS = {"ms": "ms", "kb": "kB", "percent": "%", "s": "s"}
-PLAIN = {"true_mounts": "", "true_user": "", "fifo": ""}  # said in words, by hand
+PLAIN = {"true_mounts": "", "true_user": "", "fifo": ""}  # described in the text
 
 
 def attacks(rows: list[dict[str, Any]]) -> str:
-    """One line for each attack."""
+    """Return one line for each attack."""
     lines = ["| attack | has to come of it | would show a loss | tried | lost | figures |"]
     lines.append("|---|---|---|---|---|---|")
     for row in rows:
@@ -48,7 +48,7 @@ def _number(name: str, value: float) -> str:
 
 
 def soaked(found: dict[str, Any]) -> str:
-    """What the soak held, and what it lost."""
+    """Return the achievements and losses of the soak."""
     counters = found["counters"]
     rows = [
         ("ran for", f"{found['seconds'] / 60:.0f} min"),
@@ -70,7 +70,7 @@ def soaked(found: dict[str, Any]) -> str:
 
 
 def flown(found: dict[str, Any]) -> str:
-    """What the soak in virtual time held, and what it lost."""
+    """Return the achievements and losses of the soak in virtual time."""
     rows = [
         ("virtual time", f"{found['hours']:.2f} h"),
         ("ticks; with force on", f"{found['ticks']:,}; {found['ticks_enabled']:,}"),
@@ -122,7 +122,7 @@ TABLES: dict[str, Callable[[Any], str]] = {
 
 
 def filled(page: str) -> str:
-    """`page` with the tables whose results are there."""
+    """Return `page` with the tables of all existing results."""
     for name, table in TABLES.items():
         source = BUILD / f"{name}.json"
         if source.exists():

@@ -1,8 +1,8 @@
-"""Bring docs/remedies.md up to date with runs of `hapticd studies remedies`:
-`python docs/remedies.py build/remedies`, with one folder or several for different devices.
+"""Update docs/remedies.md with runs of `hapticd studies remedies`: `python docs/remedies.py
+build/remedies`, with one folder or several for different devices.
 
 The rows are kept in docs/figures/remedies.json, and the tables of the page are made from them. The
-words are written by hand. Without a folder the kept rows fill the page again.
+text is written by hand. Without a folder the kept rows fill the page again.
 """
 
 import json
@@ -26,27 +26,27 @@ Rows = list[dict[str, Any]]
 
 
 def cell(value: float | None, digits: int = 3) -> str:
-    """A number to three digits; "-" where there is none."""
+    """Return a number to three digits; "-" if there is none."""
     if value is None:
         return "-"
     return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.{digits}g}"
 
 
 def gained(value: float | None, before: float | None) -> str:
-    """A number, and in brackets how many times the first row's it is."""
+    """Return a number, and in brackets its ratio to the first row's."""
     if value is None or not before or value == before:
         return cell(value)
     return f"{cell(value)} ({cell(value / before)}x)"
 
 
 def over_asked(pairs: list[list[float]]) -> str:
-    """Magnitude and phase of each ratio."""
+    """Return magnitude and phase of each ratio."""
     shown = [(cell(hypot(re, im)), round(degrees(atan2(im, re)))) for re, im in pairs]
     return ", ".join(f"{size} at {phase}°" for size, phase in shown)
 
 
 def tried(trials: dict[str, Any] | None) -> str:
-    """The limit by trials with its scatter between seeds and its interval."""
+    """Return the limit by trials with its scatter between seeds and its interval."""
     if trials is None or trials["value"] is None:
         return "-"
     scatter = "" if trials["sd"] is None else f" ± {cell(trials['sd'], 2)}"
@@ -54,7 +54,7 @@ def tried(trials: dict[str, Any] | None) -> str:
 
 
 def line(row: dict[str, Any], first: dict[str, Any]) -> tuple[str, ...]:
-    """One remedy of a device whose first row is `first`."""
+    """Return one remedy of a device whose first row is `first`."""
     return (
         row["remedy"],
         cell(row["corner_hz"]),
@@ -70,7 +70,7 @@ def line(row: dict[str, Any], first: dict[str, Any]) -> tuple[str, ...]:
 
 
 def filled(page: str, rows: Rows) -> str:
-    """The page with a table of K for all devices, and one of everything for each."""
+    """Return the page with a table of K for all devices, and one of everything for each."""
     devices = list(dict.fromkeys(row["device"] for row in rows))
     columns = []
     for device in devices:
@@ -84,7 +84,7 @@ def filled(page: str, rows: Rows) -> str:
 
 
 def kept() -> Rows:
-    """The rows that the page was made from."""
+    """Return the rows of the present page."""
     return list(json.loads(KEPT.read_text())["rows"])
 
 

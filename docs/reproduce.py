@@ -1,10 +1,11 @@
-"""Bring docs/reproduction.md up to date with a run: `python docs/reproduce.py build/reproduction`,
-or `make reproduction-docs`.
+"""Update docs/reproduction.md with a run: `python docs/reproduce.py build/reproduction`, or `make
+reproduction-docs`.
 
-Its table.json and its figures are copied, the figures at half their resolution, which is that of a
+Its table.json and its figures are copied, the figures at half their resolution, which suits a
 screen, and with fewer colours: an eighth of the bytes.
-Numbers and tables of the page are filled in; the words are written by hand. After a change of words
-alone, docs/figures/reproduction is the run.
+
+Numbers and tables of the page are filled in; the text is written by hand. After a change of the
+text alone, docs/figures/reproduction is the run.
 """
 
 import json
@@ -23,7 +24,7 @@ COLOURS = 128
 
 
 def refresh(run: Path) -> None:
-    """From a run folder of `python -m examples.weir2008`."""
+    """Update the page from a run folder of `python -m examples.weir2008`."""
     summary = json.loads((run / "table.json").read_text())
     if summary["quick"]:
         raise SystemExit(f"{run}: predicted with --quick; the page tells of trials: run it without")
@@ -33,7 +34,7 @@ def refresh(run: Path) -> None:
 
 
 def copy(run: Path) -> None:
-    """Its figures, and no others, and its table."""
+    """Copy its figures, and no others, and its table."""
     FIGURES.mkdir(parents=True, exist_ok=True)
     for old in FIGURES.glob("*.png"):
         old.unlink()
@@ -43,8 +44,8 @@ def copy(run: Path) -> None:
 
 
 def shrink(figure: Path, to: Path) -> None:
-    """A PNG of 150 dpi with at most COLOURS colours."""
-    from PIL import Image  # comes with matplotlib
+    """Write a PNG of 150 dpi with at most COLOURS colours."""
+    from PIL import Image  # installed with matplotlib
 
     half = Image.open(figure).convert("RGB").reduce(2)
     half.quantize(COLOURS, dither=Image.Dither.NONE).save(to, optimize=True)

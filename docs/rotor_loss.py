@@ -1,20 +1,20 @@
-"""What a rate-independent loss at the rotor would do to the six limits: `python docs/rotor_loss.py`
+"""Effect of a rate-independent loss at the rotor on the six limits: `python docs/rotor_loss.py`
 fills the table of docs/reproduction.md; some minutes, or as part of `make reproduction-docs`.
 
-Iron losses and leads take the same energy from each cycle at any frequency. That is a force h /
+Iron losses and leads dissipate the same energy in each cycle at any frequency. That is a force h /
 omega per velocity, Re Z = h / omega with h in N/m. A sum of Maxwell elements (spring k and damper
-in series, corner w_i) does it causally:
+in series, corner w_i) realises it causally:
 
     Z = sum of k / (s + w_i),  k = (2 / pi) h ln(w_(i+1) / w_i)
 
-Between the corners Re Z = h / omega. With it comes, by causality, a stiffness (2 / pi) h
-(ln(omega / w_first) + half a step of ln w_i); so the lowest corner matters, and two are shown.
+Between the corners Re Z = h / omega. Causality adds a stiffness (2 / pi) h (ln(omega / w_first) +
+half a step of ln w_i); so the lowest corner matters, and two are shown.
 
-The device is weir2008 with the elements beside all that it has; nothing is fitted. Trials are
-those of the paper, judged on the lines of the window alone.
+The device is weir2008 with the elements added; nothing is fitted. Trials are those of the paper,
+judged on the lines of the window alone.
 
-What would break it: a comparison of predicted limits with trials. Friction that breaks away makes
-predicted limits of K some 5 to 14 % too large.
+Limitations: a comparison of predicted limits with trials. Friction that breaks away makes predicted
+limits of K about 5 to 14 % too large.
 """
 
 from dataclasses import fields, replace
@@ -51,7 +51,7 @@ HEADINGS = (
 
 
 def corners(span_hz: tuple[float, float]) -> Floats:
-    """Corners (n,) [rad/s] of the elements, evenly in ln f."""
+    """Return the corners (n,) [rad/s] of the elements, evenly in ln f."""
     count = round(np.log10(span_hz[1] / span_hz[0]) * PER_DECADE) + 1
     return np.asarray(2.0 * np.pi * np.geomspace(*span_hz, count))
 
@@ -82,7 +82,7 @@ def _force(place: int) -> StateVariable:
 
 
 def _outputs(outputs: Outputs, more: int) -> Outputs:
-    """The same outputs of a model with `more` states, which none of them shows."""
+    """Return the same outputs of a model with `more` states, which no output contains."""
 
     def longer(row: Array) -> Array:
         return frozen(np.pad(row, (0, more)))
@@ -99,12 +99,12 @@ def _outputs(outputs: Outputs, more: int) -> Outputs:
 
 
 def predicted(device: Display) -> Floats:
-    """The six limits (6,), in the order of PAPER."""
+    """Return the six limits (6,), in the order of PAPER."""
     return np.array([predicted_limit(device, level, axis) for level, axis in LIMITS])
 
 
 def tried(device: Display, near: Floats) -> Floats:
-    """The same by trials about `near` (6,), means over SEEDS."""
+    """Return the same by trials about `near` (6,), means over SEEDS."""
     found = [
         [_last_passed(device, level, axis, distance, seed) for seed in SEEDS]
         for (level, axis), distance in zip(LIMITS, near, strict=True)
@@ -113,7 +113,7 @@ def tried(device: Display, near: Floats) -> Floats:
 
 
 def _last_passed(device: Display, level: float, axis: int, near: float, seed: int) -> float:
-    """The last value that passes before the first that fails."""
+    """Return the last value that passes before the first that fails."""
     points = np.tile(ORIGIN, (TRIED.size, 1))
     points[:, axis] = near * TRIED
     passed = _passed(device, level, points, seed)
@@ -123,7 +123,7 @@ def _last_passed(device: Display, level: float, axis: int, near: float, seed: in
 
 
 def _passed(device: Display, level: float, points: Floats, seed: int) -> Flags:
-    """Which environments (n, 3) are passive in a trial, by the paper's rule."""
+    """Return which environments (n, 3) are passive in a trial, by the paper's rule."""
     found = simulate(
         device.model, points, conditions(MAIN).seconds, seed, active_damping=level,
         filters=device.filters, excitation=device.excitation, substeps=4, dtype="f32",
@@ -139,7 +139,7 @@ def _passed(device: Display, level: float, points: Floats, seed: int) -> Flags:
 
 
 def row(loss_n_per_m: float, first: str, method: str, limits: Floats) -> tuple[str, ...]:
-    """One line of the table; after each limit its difference from the paper's."""
+    """Return one line of the table; each limit with its difference from the paper's."""
     off = 100.0 * (limits / np.array(list(PAPER.values())) - 1.0)
     cells = [
         f"{value * factor:{digits}} ({percent:+.0f} %)"
@@ -150,7 +150,7 @@ def row(loss_n_per_m: float, first: str, method: str, limits: Floats) -> tuple[s
 
 
 def compared() -> list[tuple[str, ...]]:
-    """All lines: predicted without the loss and with it, then by trials."""
+    """Return all lines: predicted without the loss and with it, then by trials."""
     device = conditions(MAIN).display
     none = predicted(device)
     predictions = [row(0.0, "-", "predicted", none)]

@@ -1,13 +1,13 @@
-"""What a shorter delay buys: `python docs/timing.py` fills the table of docs/timing.md and draws
-its figure; some five minutes on two cores.
+"""Benefit of a shorter delay: `python docs/timing.py` fills the table of docs/timing.md and draws
+its figure; about five minutes on two cores.
 
-A board whose two transfers of 0.4 ms follow one another makes the force act 0.69 periods after its
-sample (ADR-0008); with transfers in flight it can act after 0.25. Each row is one limit of K or B
-at both delays:
+A board with two sequential transfers of 0.4 ms makes the force act 0.69 periods after its sample
+(ADR-0008); with transfers in flight it can act after 0.25. Each row is one limit of K or B at both
+delays:
 
     law          b / (T/2 + delay + lags): the low-frequency bound, for K with B = 0
-    theorem      no friction, every input (model.theorem), stability included
-    prediction   white noise, friction linearised (model.predict), as trials record it
+    theorem      no friction, every input (model.theorem), including stability
+    prediction   white noise, friction linearised (model.predict), as in trials
     trials       90 s of noise each, searched to 1 % (zwidth.limits), mean over SEEDS
 
 Nothing is fitted, and no bus is simulated: the delay is that of the model.
@@ -67,12 +67,12 @@ class Row:
 
     @property
     def has_law(self) -> bool:
-        """Whether the low-frequency bound says something: for K without B."""
+        """Whether the low-frequency bound applies: for K without B."""
         return self.axis == 0 and self.base == ORIGIN
 
 
 def paper_display(delay_periods: float) -> Scene:
-    """The device `weir2008` of Fig. 4 with another delay."""
+    """Return the device `weir2008` of Fig. 4 with another delay."""
     scene = load_scene("fig4")
     effects = (
         replace(one, periods=delay_periods) if isinstance(one, Delay) else one
@@ -90,7 +90,7 @@ ROWS = (
 
 
 def law(scene: Scene, delay_periods: float) -> float:
-    """K [N/m] at which the low-frequency bound is reached, with the lags of the device."""
+    """Return K [N/m] at the low-frequency bound, with the lags of the device."""
     rate_hz = display(scene).model.rate_hz
     lags_s = (0.5 + delay_periods) / rate_hz
     physical_ns_per_m = 0.0
@@ -105,7 +105,7 @@ def law(scene: Scene, delay_periods: float) -> float:
 
 
 def theorem(row: Row, delay_periods: float) -> float:
-    """The limit for every input, without friction."""
+    """Return the limit for every input, without friction."""
     shown = display(row.scene(delay_periods))
     at = Conditions(0.0, shown.filters, delay_periods, 0.0)
     basis = Theorem(shown.model)
@@ -113,25 +113,25 @@ def theorem(row: Row, delay_periods: float) -> float:
 
 
 def prediction(row: Row, delay_periods: float) -> float:
-    """The limit that white noise sees, with friction as it is in trials."""
+    """Return the limit under white noise, with the friction of the trials."""
     shown = display(row.scene(delay_periods))
     return predicted_limit(shown, 0.0, row.axis, row.base, reach=REACH[row.axis])
 
 
 def trials(row: Row, delay_periods: float, seeds: int = SEEDS) -> AxisLimit:
-    """The limit by trials."""
+    """Return the limit by trials."""
     return tried_limit(row.scene(delay_periods), row.axis, row.base, seeds)
 
 
 def line(row: Row, method: str, values: tuple[float, float], more: str = "") -> tuple[str, ...]:
-    """One line of the table."""
+    """Return one line of the table."""
     digits = (".0f", ".3f")[row.axis] if row.name.startswith("rigid") else ".1f"
     shown = [f"{value:{digits}}" for value in values]
     return row.name, row.unit, method + more, *shown, f"{values[1] / values[0]:.2f}"
 
 
 def quick_lines(row: Row) -> list[tuple[str, ...]]:
-    """The lines of a row that need no trials."""
+    """Return the lines of a row that need no trials."""
     first, second = DELAYS
     lines = [
         line(row, "theorem", (theorem(row, first), theorem(row, second))),
@@ -144,14 +144,14 @@ def quick_lines(row: Row) -> list[tuple[str, ...]]:
 
 
 def tried_line(row: Row, found: list[AxisLimit]) -> tuple[str, ...]:
-    """The line of a row by trials."""
+    """Return the line of a row by trials."""
     scatter = max(one.sd / one.value for one in found)
     more = f" ({SEEDS} seeds, scatter {100.0 * scatter:.1f} %)"
     return line(row, "trials", (found[0].value, found[1].value), more)
 
 
 def drawn(axis, row: Row, found: list[AxisLimit]) -> None:
-    """A limit over the delay."""
+    """Draw a limit over the delay."""
     bounds = [theorem(row, delay) for delay in SHOWN]
     axis.plot(SHOWN, bounds, color=BLUE, label="theorem")
     axis.plot(SHOWN, [prediction(row, delay) for delay in SHOWN], **PREDICTED, label="predicted")
@@ -166,7 +166,7 @@ def drawn(axis, row: Row, found: list[AxisLimit]) -> None:
 
 @styled()
 def draw(found: list[list[AxisLimit]]) -> None:
-    """All rows, each in a panel."""
+    """Draw all rows, each in a panel."""
     figure, panels = axes(2, 2, WIDTH_IN, 5.4)
     for panel, row, limits in zip(panels, ROWS, found, strict=True):
         drawn(panel, row, limits)

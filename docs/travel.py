@@ -1,12 +1,13 @@
-"""How far trials wander from where they begin, and what a spring that holds the handle costs:
-`python docs/travel.py` fills two tables of docs/reproduction.md; a minute, or as part of
+"""Largest excursion of trials, and the cost of a spring that holds the handle.
+
+Fills two tables of docs/reproduction.md. Run `python docs/travel.py` (one minute) or
 `make reproduction-docs`.
 
 The trials are those of the paper on weir2008: 90 s of noise, from the middle of the travel. Their
-scene has no ends, like that of every limit on the page, so nothing stops a handle that wanders too
-far. The limits beside a spring are predicted.
+scene has no ends, like that of every limit on the page, so a handle is never stopped. The limits
+with a spring are predicted.
 
-What would break it: an environment in which the device runs away; those here are passive.
+Limitations: an environment in which the device runs away; those here are passive.
 """
 
 import tomllib
@@ -43,13 +44,13 @@ BESIDE = ("K [N/m]", "B off [N s/m]", "M off [g]", "B on [N s/m]", "M on [g]")
 
 
 def travel_m() -> float:
-    """The assumed travel to each side of the middle."""
+    """Return the assumed travel to each side of the middle."""
     device = (shipped("config") / "devices" / f"{MAIN}.toml").read_text()
     return float(tomllib.loads(device)["travel"]["upper_m"])
 
 
 def farthest_m(level: float, seed: int) -> Floats:
-    """The largest distance from the start (n,) in a trial of each of PLACES."""
+    """Return the largest distance from the start (n,) in a trial of each of PLACES."""
     given = conditions(MAIN)
     found = simulate(
         given.scene, PLACES[level], given.seconds, seed, active_damping=level, start=(0.0, 0.0),
@@ -59,7 +60,7 @@ def farthest_m(level: float, seed: int) -> Floats:
 
 
 def measured() -> list[tuple[str, ...]]:
-    """A line for each environment."""
+    """Return a line for each environment."""
     lines: list[tuple[str, ...]] = []
     for level in LEVELS:
         found = np.array([farthest_m(level, seed) for seed in SEEDS])
@@ -71,7 +72,7 @@ def measured() -> list[tuple[str, ...]]:
 
 
 def beside_spring(stiffness_n_per_m: float) -> tuple[str, ...]:
-    """A line of the predicted limits of B and M, beside that K."""
+    """Return a line of the predicted limits of B and M, with that K."""
     base = (stiffness_n_per_m, 0.0, 0.0)
     device = conditions(MAIN).display
     cells = [f"{stiffness_n_per_m:g}"]

@@ -1,10 +1,10 @@
-"""Fill the tables of docs/trials.md: hapticd's own verdicts on the trials, scored.
+"""Fill the tables of docs/trials.md: the score of hapticd's own verdicts on the trials.
 
     python -m examples.trials make --out build/trials
     python -m examples.trials make --out build/trials-90 --seconds 90
     python docs/trials.py build/trials build/trials-90
 
-The first folder fills the tables of the data as it is made, the second that of longer records.
+The first folder fills the tables of the standard data, the second that of longer records.
 """
 
 import json
@@ -34,18 +34,18 @@ PLACES = ("score", "score of 90 s")
 
 
 def judged(folder: Path) -> list[Judgement]:
-    """Our verdicts on a folder beside its truth."""
+    """Return our verdicts on a folder with its truth."""
     return score(judge(folder), read_truth(folder / TRUTH))
 
 
 def by_group(found: list[Judgement]) -> str:
-    """A line for each kind of trial."""
+    """Return a line for each kind of trial."""
     rows = [tuple(shown(cell) for cell in row) for row in score_table(found).rows]
     return table(HEADINGS, rows)
 
 
 def by_device(folder: Path, found: list[Judgement]) -> str:
-    """A line for each device, which only the truth names."""
+    """Return a line for each device, which only the truth contains."""
     kept = json.loads((folder / TRUTH).read_text())["trials"]
     counts: dict[str, Counter[str]] = {}
     for one in found:

@@ -1,3 +1,3 @@
-"""Reference pages from the program's own tables, as Markdown. Each module makes one kind of
-page.
+"""Reference pages from the program's own tables, as Markdown. Each module makes one
+kind of page.
 """

@@ -10,7 +10,7 @@ from pages.markdown import table
 
 
 def commands_page() -> str:
-    """Every verb with its options."""
+    """Return every verb with its options."""
     root = typer.main.get_command(command_line())
     parts = [
         "# Commands\n",

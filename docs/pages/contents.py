@@ -1,11 +1,11 @@
-"""The contents of the site, from the lists of docs/index.md, so that the pages read well on a code
-host and the site needs no list of its own.
+"""The contents of the site, from the lists of docs/index.md: the pages stay readable on a code
+host, and the site needs no second list.
 """
 
 import re
 from typing import Any
 
-# files of the checkout that are pages of the site by another name
+# files of the checkout that are pages of the site under another name
 INCLUDED = {
     "examples/README.md": "examples",
     "SECURITY.md": "security",
@@ -29,8 +29,8 @@ GENERATED = {
 
 
 def contents(app: Any, name: str, source: list[str]) -> None:
-    """The event `source-read`: links to files outside of docs/ lead to the pages that include
-    them, and each list of the first page becomes a part of the contents.
+    """Handle the event `source-read`: links to files outside of docs/ lead to the pages that
+    include them, and each list of the first page becomes a part of the contents.
     """
     above = "../" * name.count("/")
     text = OUTSIDE.sub(lambda link: f"]({above}{INCLUDED[link[1]]}.md", source[0])
@@ -41,7 +41,7 @@ def contents(app: Any, name: str, source: list[str]) -> None:
 
 
 def tree(part: str) -> str:
-    """A part of the contents: its heading, the pages that it lists, and the generated ones."""
+    """Return a part of the contents: its heading, its listed pages, and the generated ones."""
     heading = part.partition("\n")[0]
     pages = re.findall(r"^- \[[^\]]*\]\(([^)]+)\.md\)$", part, re.MULTILINE)
     lines = "\n".join([*pages, *GENERATED.get(heading, ())])

@@ -1,7 +1,7 @@
 """Docstrings of the package as reStructuredText, for the reference of the Python interface.
 
-They are written as plain text: single backticks are code, indented columns are columns, and bars
-and asterisks mean themselves (|Z|, V**2). Sphinx would take all of that for markup.
+They are plain text: single backticks are code, indented columns are columns, and bars and asterisks
+are literal (|Z|, V**2). Sphinx would interpret all of that as markup.
 """
 
 import re
@@ -12,7 +12,7 @@ MARKUP = re.compile(r"(`[^`]*`)|([|*\\]|\b_\w|\w_\b)")
 
 
 def as_text(app: Any, what: str, name: str, target: Any, options: Any, lines: list[str]) -> None:
-    """The event `autodoc-process-docstring`: `lines` are changed in place."""
+    """Handle the event `autodoc-process-docstring`: `lines` are changed in place."""
     found: list[str] = []
     for line in lines:
         indented = line.startswith("  ")
@@ -35,20 +35,20 @@ def named(
     signature: str | None,
     gives: str | None,
 ) -> tuple[str | None, str | None]:
-    """The event `autodoc-process-signature`: what the verbs give, which are generic in it."""
+    """Handle the event `autodoc-process-signature`: insert the results of the generic commands."""
     if ".Client." in name:
         return signature, GIVEN.get((gives or "").rpartition(".")[2].lstrip("~"), gives)
     return signature, gives
 
 
 def in_columns(found: list[str]) -> bool:
-    """Whether the last line that is not empty belongs to columns."""
+    """Return whether the last nonempty line belongs to columns."""
     written = [line for line in found if line.strip()]
     return bool(written) and written[-1].startswith("  ")
 
 
 def escaped(line: str) -> str:
-    """The line with its markup taken literally; what stands in backticks is code."""
+    """Return the line with its markup escaped; text in backticks is code."""
 
     def plain(mark: re.Match[str]) -> str:
         if mark[1]:

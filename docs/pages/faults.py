@@ -6,7 +6,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.faults import FAULTS, Fault
 from pages.markdown import table
 
-NOTES = Path(__file__).parents[1] / "faults"  # what to look at, one file per code
+NOTES = Path(__file__).parents[1] / "faults"  # notes on the diagnosis, one file per code
 REFUSED_EXIT = CommandError("stopped", "").exit_code
 INTRODUCTION = """# Faults
 
@@ -27,7 +27,7 @@ persists. In a recording: `fault == {number}`.
 
 
 def faults_page() -> str:
-    """The table of faults."""
+    """Return the table of faults."""
     rows = [
         (str(fault.number), f"[`{fault.code}`]({fault.code}.md)", fault.cause, fault.remedy)
         for fault in FAULTS[1:]
@@ -37,7 +37,7 @@ def faults_page() -> str:
 
 
 def fault_page(fault: Fault) -> str:
-    """One fault: the row of the table, and what to look at."""
+    """Return one fault: the row of the table, and the notes."""
     rows = [
         ("number", str(fault.number)),
         ("cause", fault.cause),

@@ -1,10 +1,9 @@
-"""Figures of the tutorials: what a script draws is shown where it was drawn.
+"""Figures of the tutorials: each figure appears after the block that drew it.
 
-The package draws without a window, so its figures are not among those that pyplot knows; they are
-found among the names of the script instead, each once.
+The package draws without a window, so pyplot does not list its figures; they are found among the
+variables of the script instead, each once.
 
-What would break it: a script that gives a second figure the name of the first in one and the same
-block.
+Limitations: a script that gives a second figure the name of the first in the same block.
 """
 
 from typing import Any
@@ -13,11 +12,11 @@ from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
 DPI = 160
-SHOWN = "_shown_in_gallery"  # attribute of a figure that was
+SHOWN = "_shown_in_gallery"  # attribute of a figure that was shown
 
 
 def figures(block: Any, variables: dict[str, Any], settings: dict[str, Any]) -> str:
-    """The new figures of a block as files, and the text that shows them."""
+    """Save the new figures of a block, and return the text that shows them."""
     paths = []
     for value in variables["example_globals"].values():
         if isinstance(value, Figure) and not hasattr(value, SHOWN):

@@ -2,12 +2,12 @@
 
     packages  the direct children of `hapticd`, in the layers of the contract "layers" of
               pyproject.toml
-    imports   A imports B where a module of A imports one of B; what a longer way implies is left
-              out (the transitive reduction of a graph without cycles)
+    imports   A imports B if a module of A imports one of B; imports implied by a longer path are
+              left out (the transitive reduction of a graph without cycles)
 
 `python docs/generate.py` writes docs/figures/layers.svg; a test compares it with the code.
 
-What would break it: packages that import each other, which the contract forbids.
+Limitations: packages that import each other, which the contract forbids.
 """
 
 import tomllib
@@ -18,7 +18,7 @@ import grimp
 
 ROOT = Path(__file__).parents[2]
 DRAWING = ROOT / "docs" / "figures" / "layers.svg"
-NO_PACKAGE = {"__main__", "_data"}  # the entry point, and the files that are shipped
+NO_PACKAGE = {"__main__", "_data"}  # the entry point, and the shipped files
 WIDTH = 860  # of the sheet; all in pixels
 HEIGHT = 46  # of a layer
 GAP = 10  # between two boxes of a layer, and two layers
@@ -36,7 +36,7 @@ fill="#444444">{below}</text>"""
 
 
 def layers() -> list[list[str]]:
-    """Packages of each layer, the highest first, as import-linter is told them."""
+    """Return the packages of each layer, the highest first, from the contract of import-linter."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     rows = next(one["layers"] for one in project["contracts"] if one["type"] == "layers")
     named = ([name.strip(" ()") for name in row.split("|")] for row in rows)
@@ -46,7 +46,7 @@ def layers() -> list[list[str]]:
 
 @cache
 def imports() -> dict[str, frozenset[str]]:
-    """The packages that the modules of each package import."""
+    """Return the packages that the modules of each package import."""
     graph = grimp.build_graph("hapticd")
     found = {}
     for package in graph.find_children("hapticd"):
@@ -64,12 +64,12 @@ def imports() -> dict[str, frozenset[str]]:
 
 @cache
 def below(name: str) -> frozenset[str]:
-    """All packages that are reached from one, by any way."""
+    """Return all packages reachable from one."""
     return imports()[name].union(*(below(other) for other in imports()[name]))
 
 
 def nearest(name: str) -> list[str]:
-    """What a package imports, without what it reaches through another one that it imports."""
+    """Return the imports of a package, without those reachable through another one."""
     own = imports()[name]
     order = [other for row in layers() for other in row]
     return [
@@ -78,7 +78,7 @@ def nearest(name: str) -> list[str]:
 
 
 def drawing() -> str:
-    """The layers as the text of an SVG file: the highest on top, a box for each package."""
+    """Return the layers as the text of an SVG file: the highest on top, a box for each package."""
     rows = layers()
     height = 2 * MARGIN + len(rows) * (HEIGHT + GAP) - GAP
     boxes = [box for depth, row in enumerate(rows) for box in _boxes(depth, row)]
@@ -86,7 +86,7 @@ def drawing() -> str:
 
 
 def _boxes(depth: int, row: list[str]) -> list[str]:
-    """A layer: its packages share the width of the sheet."""
+    """Return a layer: its packages share the width of the sheet."""
     top = MARGIN + depth * (HEIGHT + GAP)
     width = (WIDTH - 2 * MARGIN - (len(row) - 1) * GAP) / len(row)
     found = []

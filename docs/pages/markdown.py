@@ -1,8 +1,8 @@
-"""Markdown tables, and where they go in a page."""
+"""Markdown tables, and their insertion into a page."""
 
 
 def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [headings, ("---",) * len(headings), *rows]
     return (
         "\n".join(
@@ -13,8 +13,8 @@ def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def replaced(page: str, name: str, part: str) -> str:
-    """`page` with `part` between `<!-- NAME -->` and `<!-- end of NAME -->`. ValueError without
-    these marks.
+    """Return `page` with `part` between `<!-- NAME -->` and `<!-- end of NAME -->`. ValueError
+    without these marks.
     """
     before, begin, rest = page.partition(f"<!-- {name} -->\n")
     _, end, after = rest.partition(f"<!-- end of {name} -->")

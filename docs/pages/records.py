@@ -1,7 +1,7 @@
-"""Fields and flags of the record of a tick: what each means, for the pages that list them.
+"""Meanings of the fields and flags of a tick's record, for the pages that list them.
 
-The names are those of the record. A test compares both, so that a field that is added, removed or
-renamed has to be described here.
+The names are those of the record. A test compares both, so that every added, removed or renamed
+field has to be described here.
 """
 
 from hapticd.core.environment import FURTHER
@@ -146,7 +146,7 @@ STATUS = {
 
 
 def fields_table() -> str:
-    """Every field of the record with unit, type and meaning."""
+    """Return every field of the record with unit, type and meaning."""
     rows = [
         (f"`{name}`", UNITS.get(name, unit_of(name)), f"`{kind_of(name)}`", FIELDS[name])
         for name, *_ in TELEMETRY
@@ -155,13 +155,13 @@ def fields_table() -> str:
 
 
 def kind_of(name: str) -> str:
-    """The numpy type of a field."""
+    """Return the numpy type of a field."""
     _, kind, *shape = next(field for field in TELEMETRY if field[0] == name)
     return f"{kind} x {shape[0][0]}" if shape else str(kind)
 
 
 def bits() -> dict[str, dict[str, int]]:
-    """The fields of bits: each bit's value by name."""
+    """Return the bit fields: each bit's value by name."""
     return {
         "flags": {flag.name: int(flag) for flag in Flag},
         "watches": {
@@ -177,7 +177,7 @@ MEANINGS = {"flags": FLAGS, "watches": WATCHES, "host": HOST, "status": STATUS}
 
 
 def bits_tables() -> str:
-    """A table for each field of bits, and one for the causes of late ticks."""
+    """Return a table for each bit field, and one for the causes of late ticks."""
     parts = []
     for field, values in bits().items():
         rows = [

@@ -1,12 +1,12 @@
-"""Numbers and tables of docs/reproduction.md, from the table of a run. Marks say what goes where;
-whoever reads the page sees none.
+"""Numbers and tables of docs/reproduction.md, from the table of a run. Marks, which are invisible
+on the rendered page, define the places.
 
     <!-- table limits -->...<!-- /table -->            the table of a part, with its notes
-    <!--= K_max_off weir2008 .0f -->105<!--/-->        a number as Python formats it: quantity,
+    <!--= K_max_off weir2008 .0f -->105<!--/-->        a number in a Python format: quantity,
                                                        device, format
     <!--= K_max_off:sd weir2008 .1f x10 -->...<!--/--> another field of the row, and a factor
 
-What would break it: a mark for a row that is not there; it is refused.
+Limitations: a mark for a missing row; it is refused.
 """
 
 import re
@@ -23,7 +23,7 @@ NUMBER = re.compile(
 
 
 def filled(page: str, rows: Iterable[PaperRow]) -> str:
-    """The page with tables and numbers of `rows`. ConfigError for a mark without its row."""
+    """Return the page with tables and numbers of `rows`. ConfigError for a mark without its row."""
     found = tuple(rows)
     sections = parts(found)
     quantities = by_quantity(found)

@@ -1,4 +1,4 @@
-"""Scene files, key by key, and the effects that they may name, with what each costs in time."""
+"""Scene files, key by key, and the available effects, with their cost in time."""
 
 import json
 from dataclasses import MISSING, fields
@@ -26,12 +26,12 @@ trials together), and {lockstep_ms:.0f} ms as the whole product in lock-step. `p
 
 
 def scene_page() -> str:
-    """Every key of a scene file, and where the numbers of its effects stand."""
+    """Return every key of a scene file, and the place of its effects' numbers."""
     return settings_page("scene", "Scene file")
 
 
 def effects_page() -> str:
-    """Every effect: why it exists, its parameters, its cost."""
+    """Return every effect: its reason, its parameters, its cost."""
     costs = json.loads(COSTS.read_text())
     shares = {row["key"]: row for row in costs["effects"]}
     head = EFFECTS.format(
@@ -53,7 +53,7 @@ def _share(shares: dict[str, Any], key: str, way: str) -> str:
 
 
 def _effect(kind: type[Effect]) -> str:
-    """Why it exists, and its numbers."""
+    """Return the reason of an effect, and its numbers."""
     rows = [
         (f"`{item.name}`", unit_of(item.name), _range(item.metadata), _default(item.default))
         for item in fields(kind)

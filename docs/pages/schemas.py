@@ -1,4 +1,4 @@
-"""What a JSON schema says about one field, in words."""
+"""Description of one field of a JSON schema, as text."""
 
 from typing import Any
 
@@ -6,14 +6,14 @@ Schema = dict[str, Any]
 
 
 def resolved(root: Schema, field: Schema) -> Schema:
-    """`field` with what it refers to."""
+    """Return `field` with its reference resolved."""
     choice = next((item for item in field.get("anyOf", []) if item.get("type") != "null"), {})
     inner = field | choice | field.get("items", {})
     return field | root["$defs"][inner["$ref"].rpartition("/")[2]] if "$ref" in inner else field
 
 
 def described(root: Schema, field: Schema, required: bool) -> tuple[str, str, str, str]:
-    """Unit, range, default and meaning of one key."""
+    """Return unit, range, default and meaning of one key."""
     default = (
         "required"
         if required
@@ -30,7 +30,7 @@ def described(root: Schema, field: Schema, required: bool) -> tuple[str, str, st
 
 
 def taken(field: Schema) -> str:
-    """What a field takes: its type, range or choices."""
+    """Return the type, range or choices of a field."""
     for choice in field.get("anyOf", []):
         if choice.get("type") != "null":
             return taken(choice)

@@ -8,7 +8,7 @@ from pages.schemas import Schema, described, resolved
 
 
 def settings_page(kind: str, title: str) -> str:
-    """Every key of hapticd.toml or of a device file, with unit, range and default."""
+    """Return every key of hapticd.toml or of a device file, with unit, range and default."""
     found = schema(kind)
     parts = [
         f"# {title}\n",
@@ -33,7 +33,7 @@ def settings_page(kind: str, title: str) -> str:
 def tables(
     root: Schema, entry: Schema, path: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], Schema]]:
-    """(path, schema) of a table and all tables in it."""
+    """Yield (path, schema) of a table and all tables in it."""
     yield path, entry
     for name, field in entry["properties"].items():
         inner = resolved(root, field)
@@ -42,7 +42,7 @@ def tables(
 
 
 def leaves(root: Schema, entry: Schema) -> list[tuple[str, Schema]]:
-    """(key, schema) of what is no table itself."""
+    """Return (key, schema) of the keys that are not tables."""
     return [
         (name, field)
         for name, field in entry["properties"].items()

@@ -35,7 +35,7 @@ ticks that it lasts, and a `value`. Ticks count the OUT frames that the host tri
 
 
 def simulated_board_page() -> str:
-    """Every trait and every injection: its name, the meaning of its value, its unit."""
+    """Return every trait and every injection: its name, the meaning of its value, its unit."""
     root = schema("config")
     simulation = resolved(root, root["properties"]["simulation"])
     touch = resolved(root, simulation["properties"]["touch"]["anyOf"][0])
@@ -62,7 +62,7 @@ def simulated_board_page() -> str:
 def _rows(
     root: dict[str, Any], entry: dict[str, Any], elsewhere: tuple[str, ...]
 ) -> list[tuple[str, ...]]:
-    """A row for every key of the table `entry` that is not described `elsewhere`."""
+    """Return a row for every key of the table `entry` that is not described `elsewhere`."""
     return [
         (f"`{name}`", *described(root, field, name in entry.get("required", ())))
         for name, field in entry["properties"].items()

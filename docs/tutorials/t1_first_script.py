@@ -29,12 +29,12 @@ print(device.status().state)
 # %%
 # A change and its receipt
 # ------------------------
-# A servo starts disabled and renders nothing. ``set`` changes what will be rendered, and the
-# receipt says from which tick on, and what it became. Active damping goes on first: without it
-# this spring is not passive on this device, and a ``GuardWarning`` would say so.
+# A servo starts disabled and renders nothing. ``set`` changes the environment, and the receipt
+# contains the first tick and the resulting values. Active damping is switched on first: without it
+# this spring is not passive on this device, and a ``GuardWarning`` would report it.
 
 device.damping("on")
-device.run(200)  # ticks, until it is there; live, time goes on by itself
+device.run(200)  # ticks, until it has arrived; live, time advances by itself
 receipt = device.set(K=200, B=1)
 print(f"revision {receipt.revision}, ticks {receipt.first_tick} to {receipt.ramp_end_tick}")
 print(f"K = {receipt.effective['K']:g} N/m, B = {receipt.effective['B']:g} N s/m")
@@ -72,16 +72,16 @@ with styled():
 # %%
 # An experiment
 # -------------
-# Stiffness after stiffness. Each record carries the revision that was in force, so the ramp is left
-# out by the receipt's last tick, and no clocks have to be compared. Beside it stands what textbook
-# mechanics expect of the simulated device: x = F / \|K - M w^2 + j w b\|, where b is virtual,
-# active and mechanical damping together.
+# Set one stiffness after another. Each record contains the revision in force, so the receipt's last
+# tick excludes the ramp, and no clocks have to be compared. Textbook mechanics predict the motion
+# of the simulated device: x = F / \|K - M w^2 + j w b\|, where b is the sum of virtual, active and
+# mechanical damping.
 
 plant = load(None).device.plant
 w = 2 * np.pi * RATE_HZ
 for stiffness in (50, 100, 200, 400):
     receipt = device.set(K=stiffness, B=1.0, ramp_s=0.2)
-    device.record(seconds=1.0)  # until what the change set off has died out
+    device.record(seconds=1.0)  # until the transient has decayed
     records, lost = device.record(seconds=1.0)
     assert (records["revision"] == receipt.revision).all()
     moved_mm = 1e3 * np.sqrt(2) * records["position_m"].std()
@@ -92,7 +92,7 @@ for stiffness in (50, 100, 200, 400):
 
 # %%
 # The motion is up to 3 % smaller: B uses a filtered velocity that is about 3 ms old, and a force
-# with such a delay also acts like some stiffness.
+# with such a delay also acts like a stiffness.
 #
 # Stop
 # ----
@@ -100,7 +100,7 @@ for stiffness in (50, 100, 200, 400):
 # and a reset does not enable.
 
 device.stop()
-device.run(1100)  # For a second nobody else may undo a stop.
+device.run(1100)  # For a second no other client may undo a stop.
 print(device.status().state)
 device.reset()
 print(device.status().state)
