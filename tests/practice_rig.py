@@ -1,21 +1,21 @@
-"""A rig to practise the first day on: a simulated board with hidden truths, and its hand.
+"""A rig for practising the first day: a simulated board with hidden parameters, and its operator.
 
     python tests/practice_rig.py FOLDER rig [VERB ..]       `hapticd rig` in virtual time, or zwidth
     python tests/practice_rig.py FOLDER [--instance NAME]   a daemon, until Ctrl-C
-    python tests/practice_rig.py FOLDER hang 0.05           what the hand does there, by hand
+    python tests/practice_rig.py FOLDER hang 0.05           one action of the operator, by hand
 
-The first start lays out FOLDER as its owner would: hapticd.toml and a copy of the template of
-device files. What signs, gains, friction and delay the rig really has is drawn from a number that
-nobody is told, and stays in the servo's process; a client sees what it would see of a real board.
-The daemon starts again by itself when the device file has changed, as its owner would start it.
+The first start creates FOLDER with hapticd.toml and a copy of the template of device files. Signs,
+gains, friction and delay of the rig are drawn from a number that is not disclosed; they stay in the
+servo's process. A client sees what a real board would show. The daemon restarts by itself when the
+device file has changed.
 
-The first form needs no daemon and no time: servo, board and hand run as fast as they can, as the
-tests do, and each verb sees the device file as it is. With a daemon, the hand does what
-`hapticd rig` asks, as a program at a socket (HAPTICD_HAND), or what the third form says. The rigs
-are those that the tests judge the steps by, with other truths.
+The first form needs no daemon: servo, board and operator run as fast as they can, as in the tests.
+Each verb reads the current device file. With a daemon, the operator does what `hapticd rig` asks,
+as a program at a socket (HAPTICD_HAND), or what the third form requests. The rigs are those that
+the tests of the steps use, with other parameters.
 
-What would break it: a computer that cannot run a servo in time beside other work (slots are lost,
-as `hapticd status` says, and what is measured gets wider intervals).
+Limitations: a computer that cannot run a servo in time under other load loses slots (`hapticd
+status` shows them), and the measured intervals get wider.
 """
 
 import json
@@ -166,7 +166,7 @@ def quick(folder: Path, arguments: list[str]) -> int:
 def servo(folder: Path, arguments: list[str]) -> None:
     """The servo's process."""
     die_with_parent(int(arguments[arguments.index("--parent") + 1]))
-    sys.setswitchinterval(1e-4)  # the hand's thread gives the tick its turn soon
+    sys.setswitchinterval(1e-4)  # short, so that the hand's thread soon yields to the tick
     truth = drawn(int((folder / SEED).read_text()))
     person = Person(truth.seed, truth.mass_kg, time.sleep, lambda kg: board.attach(kg))
     person.mass_error = truth.mass_error
@@ -181,7 +181,7 @@ def servo(folder: Path, arguments: list[str]) -> None:
 
 
 def serve_hand(path: Path, person: Person) -> None:
-    """Do what comes in at the socket `path`, one request after the other."""
+    """Serve the requests at the socket `path`, one after the other."""
     path.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX) as door:
         door.bind(str(path))
@@ -199,7 +199,7 @@ def serve_hand(path: Path, person: Person) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """One of the forms above."""
+    """Run one of the forms above."""
     if arguments[0] == "--servo":
         servo(Path(arguments[1]), arguments[2:])
         return 0

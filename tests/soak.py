@@ -1,16 +1,17 @@
-"""`make soak HOURS=2`: the daemon in real time, its board faulty, its clients restless.
+"""`make soak HOURS=2`: the daemon in real time, with a faulty board and restless clients.
 
     python tests/soak.py --hours 0.01
 
-The simulated board has faults at random, is unplugged about once a minute and starts anew now and
-then; an operator sends random commands and brings the force back; subscribers come and go. Beside
-it `cyclictest` sleeps at the same priority on another core, which the two change after each block.
-The result, build/soak.json, says what was held, what was lost (nothing may be), what memory, files
-and descriptors became, and how late ticks compare with cyclictest's wakes (Fisher's exact test).
+The simulated board has random faults, is unplugged about once a minute and restarts now and then.
+An operator sends random commands and enables the force again; subscribers come and go. `cyclictest`
+sleeps at the same priority on another core; the two swap cores after each block. The result,
+build/soak.json, contains the checks, the losses (none are allowed), the use of memory, files and
+descriptors, and the late ticks. Late ticks are compared with cyclictest's late wakes by Fisher's
+exact test.
 
-Late ticks are counted where the board was well: a read that waits for a frame which never comes is
-late by intent. What would break it: a machine that stops for longer than the gateway's patience;
-that shows as the fault `gateway_lost`, and as late wakes of cyclictest too.
+Late ticks are counted only while the board works: a read that waits for a missing frame is late by
+design. Limitations: a machine that pauses for longer than the gateway's patience shows as the fault
+`gateway_lost`, and as late wakes of cyclictest too.
 """
 
 import argparse
@@ -80,7 +81,7 @@ FAULTS = (
     BoardFault("unplug", 1.0 / 60.0, 1, 0.3),
 )
 RATE_HZ = 1000.0
-# the board's clock wraps after 20 s, whatever becomes of it before
+# the board's clock wraps after 20 s, independently of earlier events
 BOARD_TIME_US = 2**32 - 20_000_000
 DEVICE = 'device = "simulated"\n[guard]\npolicy = "warn"\n'
 
@@ -152,7 +153,7 @@ class Operator(threading.Thread):
         self.sent[cmd] += 1
         try:
             if cmd == "stop":
-                client.stop()  # presses the stop word if there is no reply in time
+                client.stop()  # sets the stop word if no reply comes in time
             else:
                 client.call(cmd, **fields)
         except CommandError as error:
@@ -177,7 +178,7 @@ class Operator(threading.Thread):
         self.pressed_ms.append(self._watch.stopped_ms(since_ns))
 
 
-# how often each comes, beside the others
+# relative frequency of each command
 COMMANDS = {
     "set": 12.0,
     "active_damping": 4.0,
@@ -232,7 +233,7 @@ class Crowd(threading.Thread):
                 there.append(self._subscriber(context))
             elif there:
                 there.pop(self._random.randrange(len(there))).close(linger=0)
-            for one in there[1:]:  # the first never reads
+            for one in there[1:]:  # the first subscriber never reads
                 while one.poll(0):
                     one.recv_multipart()
         context.destroy(linger=0)
@@ -285,7 +286,9 @@ class Beside(threading.Thread):
 
 
 def soak(seconds: float, seed: int, realtime: bool = True, factor: float = 1.0) -> dict[str, Any]:
-    """Figures of `seconds`. `realtime`: with SCHED_FIFO where permitted, beside cyclictest."""
+    """Return the figures of `seconds`. `realtime`: with SCHED_FIFO where permitted, next to
+    cyclictest.
+    """
     with LiveDaemon(configuration(realtime, factor, seed), "soak") as daemon:
         pids = daemon.processes()
         watch = Watch(daemon.folder)
@@ -357,7 +360,7 @@ def told(stops_ms: list[float]) -> dict[str, float]:
 
 
 def _held(daemon: LiveDaemon, pids: dict[str, int]) -> dict[str, Any]:
-    """What the processes hold, and which files there are."""
+    """Return the resources of the processes and the list of files."""
     found = {name: usage(pid) for name, pid in pids.items()}
     there = sorted(str(one) for one in daemon.folder.rglob("*"))
     return {
@@ -391,7 +394,7 @@ def _compared(watch: Watch, beside: Beside) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Soak as long as asked for."""
+    """Soak for the requested time."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--hours", type=float, default=float(os.environ.get("HOURS") or 2.0))
     parser.add_argument("--seed", type=int, default=1)

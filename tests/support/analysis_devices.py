@@ -1,5 +1,5 @@
-"""Composed devices for the analysis: the rigid one of theory, and one like the calibrated
-display; and the tick law played on such a device.
+"""Composed devices for the analysis tests: the rigid device of theory, one like the calibrated
+display, and the tick law applied to such a device.
 """
 
 import numpy as np

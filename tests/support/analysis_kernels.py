@@ -1,4 +1,4 @@
-"""Local polynomials: compiled or not, they are what least squares over a window's bins give."""
+"""Local polynomials, compiled or not, equal the least squares over the bins of a window."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
-"""A limit cycle or a hum between 2 and 12 Hz is named, and nothing else is: not the device's own
-resonance, however narrow, not friction, counts or noise of the probe.
+"""A limit cycle or a hum between 2 and 12 Hz is named. A narrow resonance of the device, friction,
+quantisation and noise of the probe are not.
 """
 
 from functools import cache

@@ -1,5 +1,5 @@
-"""Periods of a multisine: exact where the device is linear, and an interval that holds with
-noise and with friction.
+"""Periods of a multisine: exact for a linear device, with an interval that is valid with noise and
+with friction.
 """
 
 from dataclasses import replace
@@ -41,7 +41,9 @@ def inside(found, band=BAND):
 
 
 def covered(found, truth):
-    """Of which frequencies of the band the 95 % interval of the phase holds the truth."""
+    """Return the frequencies of the band at which the 95 % interval of the phase contains the
+    truth.
+    """
     freedom = found.degrees_of_freedom - 2.0
     half = student_quantile(0.975, freedom) * relative_sd(found.coherence, freedom)
     use = inside(found)
@@ -49,12 +51,12 @@ def covered(found, truth):
     return np.abs(turned) <= half[use]
 
 
-# --- what is not linear ---------------------------------------------------------------------------
+# --- nonlinear devices ----------------------------------------------------------------------------
 
 
 def simulated(model, point, count, periods):
-    """(count, periods, PERIOD) of force and velocity of a simulated display, the first period
-    left out.
+    """Return (count, periods, PERIOD) of force and velocity of a simulated display, without the
+    first period.
     """
     force = np.tile(
         forces(count, 1, shaken=replace(SHAKEN, band_hz=500.0, force_n=0.11))[:, 0],

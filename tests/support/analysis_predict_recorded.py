@@ -1,5 +1,5 @@
-"""The verdict as a measurement sees it: through the probe's velocity channel. The rival
-device's is AC-coupled at 0.1 Hz.
+"""The verdict of a measurement through the probe's velocity channel. The channel of the rival
+device is AC-coupled at 0.1 Hz.
 """
 
 import pytest

@@ -1,5 +1,5 @@
-"""A resonance is no instability, however narrow; a limit cycle is one. What decides is the record,
-not the window.
+"""A resonance, however narrow, is not an instability; a limit cycle is one. The record decides, not
+the window.
 
 Devices are the rigid display of theory with a probe: 8 g, sampled at 1 kHz without delay, passive
 up to K = 2 b / T.
@@ -38,7 +38,7 @@ def display(viscous: float, *effects, mass_kg: float = 0.008) -> Scene:
 
 
 def least_resistance(device: Scene, stiffness: float) -> float:
-    """The exact one of the recorded channels, without noise."""
+    """Return the exact least resistance of the recorded channels, without noise."""
     return predicted_impedance(
         compose(device), (stiffness, 0.0, 0.0), np.linspace(2.0, 500.0, 500)
     ).real.min()

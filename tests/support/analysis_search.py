@@ -1,5 +1,5 @@
-"""The directed search on oracles whose boundary is known: how many trials it needs, with and
-without noise and a prior.
+"""The directed search on oracles with a known boundary: the number of trials, with and without
+noise and a prior.
 """
 
 import numpy as np
@@ -17,8 +17,8 @@ INSIDE = (300.0, 0.3, 0.001)
 
 
 def directed_search(oracle, begin, inside, budget, doubt=0.0):
-    """Ask `oracle`, one environment at a time, at most `budget` times, or until
-    `doubtful_share` is below `doubt`.
+    """Query `oracle`, one environment at a time, at most `budget` times, or until `doubtful_share`
+    is below `doubt`.
     """
     first = first_trials(begin.box, inside)
     search = begin.with_trials(first, [oracle(environment) for environment in first])
@@ -46,7 +46,7 @@ BASIS = basis()
 
 
 def bent(points):
-    """What makes the second oracle non-affine: up to 0.55 of the 2 N s/m."""
+    """Return the non-affine term of the second oracle: up to 0.55 of the 2 N s/m."""
     k, b, m = np.atleast_2d(points).T
     return 0.35 * np.sin(k / 250.0) + 0.2 * np.tanh(b) * np.cos(400.0 * m)
 

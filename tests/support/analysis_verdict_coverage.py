@@ -1,4 +1,4 @@
-"""What a verdict promises, counted over many trials: false alarms, coverage of intervals, power.
+"""The promises of a verdict, counted over many trials: false alarms, coverage of intervals, power.
 
 Trials of 90 s are scaled down where only N / M matters: the sample rate with the window, or both
 with the frequencies.

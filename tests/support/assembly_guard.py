@@ -1,4 +1,4 @@
-"""The guard's worker: what it starts from, what it says, and that it outlives a bad request."""
+"""The guard's worker: its start, its answers, and its survival of an invalid request."""
 
 from support.guard_device import (
     request,

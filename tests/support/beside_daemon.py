@@ -1,4 +1,4 @@
-"""Programs that tests run beside a daemon, as the readers of a page or an example do."""
+"""Programs that tests run next to a daemon, like readers of a page or an example."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from hapticd.pytest_plugin import DaemonProcess
 def run_beside(
     daemon: DaemonProcess, folder: Path, *words: str | Path, deadline_s: float = 100.0
 ) -> str:
-    """Run `words` in `folder`, for which `daemon` is the default one; what was printed."""
+    """Run `words` in `folder`, with `daemon` as the default daemon; return the output."""
     done = subprocess.run(
         list(map(str, words)),
         cwd=folder,

@@ -1,5 +1,6 @@
-"""A person at a blind rig, who does what is asked of it: places the handle with some um of scatter,
-hangs masses with their error, moves, shakes and lets go. It pulls at the handle with forces alone.
+"""A simulated person at a blind rig who fulfils requests: places the handle with some um of
+scatter, hangs masses with an error, moves, shakes and releases. It acts on the handle by forces
+only.
 """
 
 from collections.abc import Callable
@@ -15,16 +16,16 @@ GRIP_N_PER_M = 5e3
 GRIP_RATIO = 1.0  # of critical damping
 SPEED_M_PER_S = 0.02
 SCATTER_M = 5e-6  # rms, of a handle that is held against something firm
-PRESSED = 2  # times that a hand follows what friction holds back
+PRESSED = 2  # times that a hand corrects for friction
 SHAKEN_M = 3e-3
 SHAKEN_HZ = 3.0
-SETTLED_S = 2.0  # that the person waits before "it is done"
+SETTLED_S = 2.0  # wait before "it is done"
 PULLS_TO = -1
 Path = Callable[[float], tuple[float, float]]  # position [m], velocity [m/s] at a time [s]
 
 
 class Person:
-    """What pulls at the handle (`pull_n`), and the answers to requests (`ask`).
+    """The force on the handle (`pull_n`), and the answers to requests (`ask`).
 
     `pass_time(seconds)` lets the rig run; `attach(kg)` fixes a mass to the handle.
     """
@@ -42,7 +43,7 @@ class Person:
         self._attach = attach
         self.mass_error = 0.0
         self.distance_error_m = 0.0
-        self.typed_wrong = False  # one of the masses
+        self.typed_wrong = False  # for one of the masses
         self.weight_n = 0.0
         self._spring_n_per_m = 0.0
         self._spring_m = 0.0
@@ -70,7 +71,7 @@ class Person:
         return force
 
     def ask(self, request: Request) -> None:
-        """Do what is asked."""
+        """Fulfil a request."""
         actions: dict[str, Callable[[float], None]] = {
             "let go": self._let_go,
             "move": self._move,
@@ -94,7 +95,7 @@ class Person:
         self._pass_time(SETTLED_S)
 
     def _go(self, to_m: float) -> None:
-        """Take the handle there and hold it."""
+        """Move the handle to `to_m` and hold it."""
         self._path = way(self._now_s, self._at_m, to_m)
         self._pass_time(abs(to_m - self._at_m) / SPEED_M_PER_S + 0.5)
 
@@ -152,7 +153,7 @@ class Person:
 
 
 def way(begin_s: float, from_m: float, to_m: float) -> Path:
-    """From one place to another with SPEED_M_PER_S, then still."""
+    """Return a path from one position to another at SPEED_M_PER_S, then at rest."""
     lasts_s = abs(to_m - from_m) / SPEED_M_PER_S
     speed = copysign(SPEED_M_PER_S, to_m - from_m)
 

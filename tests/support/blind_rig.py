@@ -1,18 +1,18 @@
-"""Blind rigs: a simulated device whose truth comes from a seed, and which steps know by a client.
+"""Blind rigs: a simulated device with parameters from a seed, which steps access through a client.
 
     with BlindRig(7) as rig:                # or BlindRig(7, "stuck encoder", coulomb_n=0.5)
         rig.bench                           a LockStepClient, the Client that steps get
-        rig.ask                             the person who does what `rig.hand.Request` says
+        rig.ask                             the person who fulfils a `rig.hand.Request`
         rig.device_file                     template with the board's nominal scales, in a folder
-        rig.write(result)                   keeps and writes what a step found, as the verbs do
+        rig.write(result)                   stores and writes the results of a step, as the verbs do
         rig.restart()                       a new daemon of the written file; the device stays
         rig.true("moving mass", "identify") the true value of a quantity, in the unit of its Value
         rig.worst_share                     motor's force over the limit until signs were verified
 
-`first_day(rig)` does the steps that exist, in the order of the guided path, and tells what they
-found. Names in `true` are those of `Value`s; what it does not know is None (nobody can tell).
+`first_day(rig)` runs the existing steps in the order of the guided path, and returns the results.
+Names in `true` are names of a `Value`; an unknown one is None.
 
-The truth (`blind_truth`) and the person (`blind_hand`) never get into the hands of a step.
+A step never accesses the true parameters (`blind_truth`) or the person (`blind_hand`).
 """
 
 import datetime
@@ -59,14 +59,14 @@ LIMIT_N = 8.0
 MASSES_KG = (0.0, 0.025, 0.05, 0.075, 0.1)
 DISTANCE_M = 0.01
 FIXED_KG = 0.02
-EDITS: dict[str, dict[str, Any]] = {  # what its owner writes into the template, by table
+EDITS: dict[str, dict[str, Any]] = {  # edits of the owner in the template, by table
     "": {"name": "blind", "serial": SERIAL},
     "limits": {"force_n": LIMIT_N, "active_damping_ns_per_m": 10.0},
     "home": {"method": "none", "required": False},
 }
 CONFIG = 'device = "blind"\n[realtime]\nmode = "off"\n'
 
-# which step refuses a broken rig, and a word of what it says
+# the step that refuses a broken rig, and a word of its message
 REFUSED = {
     "stuck encoder": ("encoder", "stuck"),
     "no authority": ("motor", "authority"),
@@ -79,7 +79,7 @@ REFUSED = {
 
 
 class BlindRig:
-    """One rig; see above. Use it as a context manager."""
+    """One rig, as described above. Use as a context manager."""
 
     bench: LockStepClient
 
@@ -125,7 +125,7 @@ class BlindRig:
 
     @property
     def ask(self) -> Callable[..., None]:
-        """What steps ask a person by."""
+        """The function by which steps send requests to a person."""
         return self.person.ask
 
     @property
@@ -138,7 +138,7 @@ class BlindRig:
         self.bench.run(round(seconds * NOMINAL["rate_hz"]))
 
     def write(self, result: StepResult) -> None:
-        """Keep the records of a step; write what it found, if nothing was refused."""
+        """Store the records of a step; write its results unless it was refused."""
         kept = keep(self.device_file, result.step, DAY, result.arrays)
         if result.settled and result.changes:
             words = "; ".join(str(value) for value in result.values)
@@ -157,8 +157,8 @@ class BlindRig:
         self._start()
 
     def true(self, name: str, step: str = "") -> float | None:
-        """The true value of the quantity `name` of `step`, in the unit of its Value; None: unknown
-        here. Steps that mean different things by one name say so with their own.
+        """Return the true value of the quantity `name` of `step`, in the unit of its Value; None if
+        unknown. Steps that use one name for different quantities have their own entries.
         """
         quantities = known(self.truth)
         if motor_table := self.settings.device.motor:
@@ -192,7 +192,7 @@ def known(truth: Truth) -> dict[str, float]:
 
 
 def _known_of_model(truth: Truth) -> dict[str, float]:
-    # the amplifier's lag is far too short to be told from delay
+    # the amplifier's lag is too short to be distinguished from delay
     period_us = 1e6 / NOMINAL["rate_hz"]
     amplifier_us = 1e6 / (2.0 * pi * truth.amplifier_hz)
     smoothing_us = 1e6 / (2.0 * pi * truth.smoothing_hz)
@@ -210,7 +210,7 @@ def _known_of_model(truth: Truth) -> dict[str, float]:
 
 
 def _known_of_probe(truth: Truth) -> dict[str, float]:
-    # not the velocity channel's noise: what is left of it is rounded twice on its way through skew
+    # without the velocity channel's noise: the skew correction rounds its remainder twice
     judged = ReferenceSpring()
     corners_hz = (truth.velocity_highpass_hz, truth.torque_highpass_hz)
     of_velocity, of_torque = (atan(one / judged.lowest_hz) for one in corners_hz)
@@ -224,15 +224,15 @@ def _known_of_probe(truth: Truth) -> dict[str, float]:
         "emf_velocity.offset_count": 0.0,
         "temperature.offset_count": 0.0,
         "probe_torque noise": 0.0,
-        "probe skew": -truth.skew_us,  # the velocity is that of before
+        "probe skew": -truth.skew_us,  # the velocity is the earlier one
         "high-pass mismatch": -per_radian * sin(of_velocity - of_torque),
     }
 
 
 @dataclass
 class Day:
-    """What became of a first day: every step's result, and which step could not be done, and
-    why.
+    """The result of a first day: that of every step, and the step that could not run, with the
+    reason.
     """
 
     results: list[StepResult] = field(default_factory=list)
@@ -273,8 +273,8 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
 def first_day(
     rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None, until: str = ""
 ) -> Day:
-    """The steps in the order of the guided path, `until` one, or one that is refused or cannot be
-    done. What a step finds is written and the daemon started again before the next one.
+    """Run the steps in the order of the guided path, up to `until`, or to a step that is refused or
+    cannot run. Write the results of each step and restart the daemon before the next.
     """
     day = Day()
     for name, step in STEPS.items():

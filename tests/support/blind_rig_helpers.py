@@ -1,5 +1,5 @@
-"""The first day at rigs whose truth is hidden from the steps: what they find is true, what is
-broken is refused by name, and the path knows no simulated board.
+"""The first day at rigs whose parameters are hidden from the steps. Measured values are correct,
+faults are refused by name, and the path does not depend on a simulated board.
 """
 
 import functools
@@ -13,7 +13,7 @@ QUICK = "motor gain"  # the step until which a day is quick
 
 @functools.cache
 def seen(seed, until=""):
-    """The day at the rig `seed`, what is true, the device as it was written, and the force."""
+    """Return the day at the rig `seed`, the truth, the device as written, and the force."""
     with BlindRig(seed) as rig:
         day = first_day(rig, until=until)
         known = [

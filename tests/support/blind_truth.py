@@ -1,7 +1,7 @@
-"""What is true of a blind rig, drawn from its seed, and the simulated board that behaves so.
+"""The true parameters of a blind rig, drawn from its seed, and the simulated board with them.
 
-The board's hello and its converters' nominal scales are those of NOMINAL; what its converters and
-its mechanics really do is `Truth`. Steps see neither: they have a client alone.
+The board's hello and the nominal scales of its converters are NOMINAL. `Truth` has the real
+properties of converters and mechanics. Steps access neither; they have only a client.
 """
 
 from collections.abc import Callable
@@ -75,7 +75,7 @@ BROKEN = (
 
 @dataclass(frozen=True)
 class Truth:
-    """A rig as it is. Gains are what a count really is over what the hello says."""
+    """The real rig. Gains are the real value of a count over the value in the hello."""
 
     seed: int
     position_sign: int
@@ -88,7 +88,7 @@ class Truth:
     probe_torque_gain: float
     probe_velocity_gain: float
     emf_gain: float
-    force_offset_count: float  # that makes no force
+    force_offset_count: float  # count at zero force
     probe_torque_offset_count: float  # recorded at no torque
     probe_velocity_offset_count: float
     encoder_noise_counts: float  # rms, before the counter
@@ -101,24 +101,24 @@ class Truth:
     resonance_hz: float  # of the two on the transmission
     resonance_ratio: float  # of critical damping
     smoothing_hz: float  # of the filter behind the converter of the force
-    residual_ohm: float  # what the circuit leaves of the winding; < 0: it compensates too much
+    residual_ohm: float  # resistance that the circuit leaves of the winding; < 0: overcompensation
     amplifier_hz: float
     circuit_hz: float
     skew_us: float  # by which the recorded velocity comes later than the torque
     torque_highpass_hz: float
     velocity_highpass_hz: float
-    start_m: float  # where the handle is, and whence the board counts
+    start_m: float  # position of the handle, where the board's count begins
     mass_error: float  # relative, of all masses that are hung
     distance_error_m: float  # of the gauge
 
     @property
     def rotor_kg(self) -> float:
-        """What turns with the motor."""
+        """The mass that turns with the motor."""
         return self.rotor_share * self.mass_kg
 
     @property
     def slider_kg(self) -> float:
-        """What slides with the encoder."""
+        """The mass that slides with the encoder."""
         return self.mass_kg - self.rotor_kg
 
     @property
@@ -186,7 +186,9 @@ def drawn(seed: int) -> Truth:
 
 
 def blind_board(truth: Truth, attached_kg: float = 0.0) -> BoardParams:
-    """What the board's converters and mechanics really do, with a mass fixed to the handle."""
+    """Return the real properties of the board and its mechanics, with a mass fixed to
+    the handle.
+    """
     gains = {
         "position_m_per_count": truth.position_gain,
         "force_n_per_count": truth.force_gain,
@@ -205,7 +207,7 @@ def blind_board(truth: Truth, attached_kg: float = 0.0) -> BoardParams:
 
 def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
     ohm = float(NOMINAL["winding_ohm"])
-    # so much colder than the winding does the circuit believe it to be
+    # the circuit assumes that the winding is colder by this difference
     colder_k = truth.residual_ohm / (ohm * COPPER_PER_K)
     return (
         Masses(rotor_kg=truth.rotor_kg, slider_kg=truth.slider_kg + attached_kg),
@@ -237,7 +239,7 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
 
 
 class BlindProbe(Probe):
-    """A probe whose channels have offsets, high-passes and a skew of their own."""
+    """A probe whose channels have their own offsets, high-passes and skew."""
 
     __slots__ = (
         "_broken",
@@ -265,7 +267,7 @@ class BlindProbe(Probe):
         super().__init__(params)
 
     def feed(self, seconds: float) -> None:
-        """White noise into both channels instead of what their sensors say."""
+        """Feed white noise into both channels in place of the sensors."""
         self._fed = round(seconds * PROBE_RATE_HZ)
 
     def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
@@ -311,12 +313,12 @@ class BlindBoard:
         self.plant = self._plant(0.0)
         self.state = self.plant.rest(truth.start_m)
         self._probe_sign = truth.probe_torque_sign
-        self.watched = True  # as long as nobody has verified the signs
+        self.watched = True  # until the signs are verified
         self.worst_n = 0.0  # of the motor meanwhile
         self.axis: Axis | None = None
 
     def attach(self, kilograms: float) -> None:
-        """From now on the handle moves so much more."""
+        """Add `kilograms` to the moving mass."""
         self.plant = self._plant(kilograms)
 
     def one_signal(self, seconds: float) -> None:
@@ -331,7 +333,7 @@ class BlindBoard:
         return self._plants[kilograms]
 
     def backend(self, _params: BoardParams, clock: Clock, on_slip: Any = None) -> Any:
-        """In place of `simulated_backend`: this board, whoever asks for which."""
+        """Replace `simulated_backend`: return this board for any parameters."""
         made = make_backend(self.params, clock, on_slip)
         port: Any = made._port
         board: BoardModel = port

@@ -1,6 +1,4 @@
-"""The boards that tests simulate: the numbers of the default simulated device, changed where a
-test says so.
-"""
+"""The boards that tests simulate: the default simulated device, with the changes of a test."""
 
 from dataclasses import replace
 from math import inf

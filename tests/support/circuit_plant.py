@@ -1,5 +1,5 @@
-"""The circuit in ngspice where the simulated board has its plant: the same servo, wire and firmware
-drive transistors, motor and masses instead of the composed model.
+"""The circuit in ngspice in place of the simulated board's plant: the same servo, wire and firmware
+drive transistors, motor and masses, not the composed model.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.run.lockstep import LockStep, scene_params
 
 SETTLING_S = 0.04  # of relay and amplifier after power-up, before the board starts
-ENABLE_S = 0.02  # shorter than a person would have it: everything is in force before the kick
+ENABLE_S = 0.02  # shorter than for a person: everything is in force before the kick
 KICK_N = 0.02  # small: undamped it grows a hundredfold in the time that is compared
 KICK = range(60 * SUBSTEPS_PER_TICK, 62 * SUBSTEPS_PER_TICK)  # sub-steps
 RECORD = np.dtype(list(TELEMETRY))
@@ -42,7 +42,7 @@ level_ns_per_m = {level}
 
 
 class CircuitPlant:
-    """The circuit as a `Plant`; its state is what ngspice said last."""
+    """The circuit as a `Plant`; its state is the last output of ngspice."""
 
     def __init__(self, params: BoardParams) -> None:
         text = deck(
@@ -57,7 +57,7 @@ class CircuitPlant:
         self.values = self.run.advance(SETTLING_S)
 
     def step(self, _: Any, force_n: float, torque_n: float, level: float, substeps: int) -> Any:
-        """What ngspice says `substeps` later."""
+        """Return the output of ngspice `substeps` later."""
         self.run.inputs["vdac"] = 1.25 * (1.0 + force_n / self.full_n)
         self.run.inputs["vlevel"] = level / FULL_NS_PER_M
         self.run.inputs["ipush"] = torque_n
@@ -66,7 +66,7 @@ class CircuitPlant:
         return self.values
 
     def plant(self) -> Plant:
-        """As the board takes it."""
+        """Return the plant in the form that the board takes."""
         return Plant(
             rest=lambda _: self.values,
             step=self.step,
@@ -81,7 +81,7 @@ class CircuitPlant:
 
 @contextmanager
 def plants(in_ngspice: bool) -> Iterator[Any]:
-    """What makes the plant of the next board: the circuit or the composed model, each kicked."""
+    """Yield the maker of the next board's plant: the circuit or the composed model, each kicked."""
     made: list[CircuitPlant] = []
 
     def make(params: BoardParams) -> Plant:
@@ -96,7 +96,9 @@ def plants(in_ngspice: bool) -> Iterator[Any]:
 
 
 def kicked(plant: Plant) -> Plant:
-    """`plant` with a push of KICK_N for two ticks at the rotor, wherever the pieces lie."""
+    """Return `plant` with a push of KICK_N for two ticks at the rotor, at any position of the
+    pieces.
+    """
     done = 0
 
     def step(state: Any, force_n: float, torque_n: float, level: float, substeps: int) -> Any:

@@ -15,7 +15,7 @@ TYPED = "$ hapticd "
 
 
 class Mistake(NamedTuple):
-    """What was typed in which state, and where it stands in the file."""
+    """A mistyped command, its state, and its place in the file."""
 
     state: str
     words: str
@@ -23,7 +23,7 @@ class Mistake(NamedTuple):
 
 
 class CommandServerClient(Client):
-    """A client of a gateway's command server with a stand-in servo, without sockets."""
+    """A client of a gateway's command server with a substitute servo, without sockets."""
 
     def __init__(self, rig: CommandServerRig) -> None:
         super().__init__(folder=rig.folder)
@@ -63,7 +63,7 @@ def noted(mistake: Mistake) -> list[str]:
 
 
 def write(answers: dict[Mistake, list[str]]) -> None:
-    """Put `answers` into the file, in place of those that it has."""
+    """Replace the answers of the file by `answers`."""
     lines = TEXTS.read_text().splitlines()
     for mistake in sorted(answers, key=lambda one: one.line, reverse=True):
         begin = mistake.line + 1

@@ -1,4 +1,4 @@
-"""hapticd sim and hapticd accuracy: what they print, draw, return and refuse."""
+"""hapticd sim and hapticd accuracy: output, plots, return values and refusals."""
 
 import json
 from typing import Any

@@ -1,5 +1,5 @@
-"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder; slips are
-named and nothing is started.
+"""`hapticd zwidth`: input, output and files of the run folder. Mistakes are named, and no run
+starts.
 """
 
 from hapticd.cli.app import main

@@ -1,5 +1,5 @@
-"""Folders of `hapticd zwidth`: what an interruption leaves, one run a folder, what `report`
-draws where, Z(f) for others.
+"""Folders of `hapticd zwidth`: the files after an interruption, one run per folder, the plots of
+`report`, and the export of Z(f).
 """
 
 from typing import Any

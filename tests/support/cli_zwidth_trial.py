@@ -1,5 +1,5 @@
-"""`hapticd zwidth trial` and `import`: multisines, windows, admittance, live devices, and what
-is said of a result.
+"""`hapticd zwidth trial` and `import`: multisines, windows, admittance, live devices, and the text
+about a result.
 """
 
 from hapticd.cli.app import main

@@ -18,9 +18,7 @@ RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)
 
 
 class ClientDouble:
-    """Speaks for a daemon that accepts everything, or raises `error`; remembers what it was
-    asked.
-    """
+    """Replaces a daemon: accepts everything, or raises `error`, and records the requests."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, Any]] = []

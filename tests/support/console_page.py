@@ -40,8 +40,8 @@ class Served:
 
 
 class PatientClient(Client):
-    """It asks again what a gateway dropped because the machine had stood still: none of that acted,
-    and it says so.
+    """Repeats requests that a gateway dropped after a pause of the machine. A dropped request had
+    no effect, and its reply states that.
     """
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
@@ -55,7 +55,7 @@ class PatientClient(Client):
 
 @contextmanager
 def paused(pid: int) -> Iterator[None]:
-    """A process that stands still."""
+    """Stop a process (SIGSTOP) for the duration of the context."""
     os.kill(pid, signal.SIGSTOP)
     try:
         yield

@@ -1,12 +1,12 @@
-"""Every environment called passive and stable stays stable in 1,000 random passive hands (Colgate
+"""Every environment judged passive and stable stays stable in 1,000 random passive hands (Colgate
 and Hogan 1988).
 
-Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once,
-ADR-0017). Instead, as `model.coupled` says, a circle at each angle that no hand leaves (all
-1,000 are tried, by the exact pulse transfer of device and hand), and which no called environment's
--1/C enters (all are tried). Eigenvalues then check that this is so: of environments at the edge in
-all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the
-display.
+The pairs are not tested one by one: 1,701 environments in 1,000 hands take a minute of eigenvalues
+(computed once, ADR-0017). Instead, as in `model.coupled`, each angle has a circle that contains all
+hands. All 1,000 are tested, by the exact pulse transfer of device and hand. No -1/C of a judged
+environment is inside it; all are tested. Eigenvalues then verify the method: of environments at the
+edge in all hands, and of random pairs, inside and outside. The test can fail: 5 % outside, a hand
+destabilises the display.
 """
 
 from functools import cache
@@ -30,7 +30,7 @@ def hands() -> list[Hand]:
 
 
 def called(name, level):
-    """(model, filters, lifted, points): what safety decides, without friction."""
+    """Return (model, filters, lifted, points) of the safety analysis, without friction."""
     device = conditions(name).display
     lifted = lifted_system(device.model, level, device.filters)
     points = POINTS[lifted_passive(lifted, POINTS)]

@@ -1,4 +1,4 @@
-"""A daemon in processes of its own, and what can be seen of it."""
+"""A daemon in separate processes, and its observable state."""
 
 import contextlib
 import json
@@ -33,7 +33,7 @@ def until(condition: Callable[[], Any], what: str) -> Any:
 
 
 class Daemon:
-    """`hapticd run` of an instance of its own, and what can be seen of it."""
+    """`hapticd run` of a separate instance, and its observable state."""
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ class Daemon:
         return main([*words, "--instance", self.instance])
 
     def __exit__(self, *_: object) -> None:
-        """Leave nothing running, whatever the test found."""
+        """Terminate all processes, whatever the result of the test."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)
             self.process.terminate()
@@ -123,13 +123,13 @@ class Daemon:
             with contextlib.suppress(OSError):
                 if (
                     str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
-                ):  # the number may be another's by now
+                ):  # the number may have been reused
                     os.kill(pid, signal.SIGKILL)
 
 
 def zeroed(client: Client) -> None:
-    """Take the origin where the handle is, once a position comes in the tick of the command, which
-    may take several tries on a busy machine.
+    """Set the origin at the handle. This needs a position in the tick of the command, so it may
+    take several attempts on a busy machine.
     """
 
     def accepted() -> bool:
@@ -154,7 +154,9 @@ def last_record(ring: Path) -> Any:
 
 @contextlib.contextmanager
 def shared_daemon(**options: Any) -> Iterator[Daemon]:
-    """A daemon in a runtime folder of its own, for a fixture of any scope; options of `Daemon`."""
+    """Yield a daemon in a separate runtime folder, for a fixture of any scope; options
+    of `Daemon`.
+    """
     with pytest.MonkeyPatch.context() as patch:
         for folder in fresh_runtime(patch):
             with Daemon(folder, **options) as daemon:
@@ -162,7 +164,7 @@ def shared_daemon(**options: Any) -> Iterator[Daemon]:
 
 
 def asking(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    """What runs a verb on `daemon` and returns the object that it prints with --json."""
+    """Return a function that runs a verb on `daemon` and returns the object printed with --json."""
 
     def ask(*words: str, code: int = 0) -> Any:
         capsys.readouterr()

@@ -1,5 +1,5 @@
-"""Flights of the paper's device whose active damping is estimated, and the closed form of what its
-circuit delivers (Weir, Colgate and Peshkin 2008, section 5).
+"""Flights of the paper's device with estimated active damping, and the closed form of the damping
+that its circuit delivers (Weir, Colgate and Peshkin 2008, section 5).
 """
 
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ def damped(stack: LockStep, level: float) -> None:
 
 
 def rendered(environment: Sequence[float]) -> dict[Value, float]:
-    """Values of a set that takes K, B, M at once."""
+    """Return the values of a set that changes K, B and M at once."""
     places = (Value.STIFFNESS, Value.VIRTUAL_DAMPING, Value.MASS)
     return {**dict(zip(places, environment, strict=True)), Value.RAMP_S: 0.0}
 
@@ -87,7 +87,7 @@ def flown(
     shaken_ticks: int = 3000,
     **board: Any,
 ) -> tuple[ServoParams, Records]:
-    """Servo and records of a flight of the paper's device that is shaken by white noise."""
+    """Servo and records of a flight of the paper's device under white noise."""
     servo, with_board = parts(**board)
     with LockStep(servo, replace(with_board, seed=seed)) as stack:
         begun(stack, environment, level)

@@ -1,4 +1,4 @@
-"""Devices for the tests of the engine, composed from effects; nothing is read from files."""
+"""Devices for the tests of the engine, composed from effects and not read from files."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
-"""The documentation repeats the program's tables, all of them; the table of faults is complete;
-the site builds.
+"""The documentation repeats all tables of the program, the table of faults is complete, and the
+site builds.
 """
 
 from html.parser import HTMLParser
@@ -16,7 +16,7 @@ def page(site: Path, name: str) -> str:
 
 
 class Links(HTMLParser):
-    """What a page refers to, and the places in it that can be referred to."""
+    """The references of a page, and its anchors."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -2,7 +2,7 @@
 
 
 def stop_time_s(mass_kg: float, velocity_m_per_s: float, coulomb_n: float) -> float:
-    """When a mass that slides against Coulomb friction alone comes to rest: m |v| / Fc."""
+    """Return when a mass that slides against Coulomb friction comes to rest: m |v| / Fc."""
     return mass_kg * abs(velocity_m_per_s) / coulomb_n
 
 

@@ -1,5 +1,5 @@
-"""The engine against the same model in long double, step by step: exact for what is linear, and
-for what is not.
+"""The engine compared with the same model in long double, step by step: exact for linear and for
+nonlinear effects.
 """
 
 import numpy as np

@@ -1,5 +1,5 @@
-"""Spectra kept instead of records: those that `spa` gives of the records, however the batch is
-spread.
+"""Spectra kept in place of records equal those that `spa` computes from the records, for any
+distribution of the batch.
 """
 
 import numpy as np

@@ -10,7 +10,7 @@ EXAMPLES = ROOT / "examples"
 
 
 def virtual(name, folder, *words):
-    """Lines that an example prints on the virtual board, in a process of its own."""
+    """Return the lines that an example prints on the virtual board, in a separate process."""
     done = subprocess.run(
         [sys.executable, EXAMPLES / f"{name}.py", "--virtual", *words],
         cwd=folder,

@@ -1,5 +1,6 @@
-"""`hapticd stop` reaches what moves: every live daemon of this user and the service, past
-leftovers, strangers and whatever hangs; and it says whom it has stopped.
+"""`hapticd stop` reaches everything that moves: every live daemon of this user and the service.
+Stale files, other users' daemons and hung processes do not prevent it. It names the daemons it
+stopped.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 
 @contextmanager
 def servo(folder: Path, device: str = "", simulated: bool = True) -> Iterator[ServoMailbox]:
-    """A live servo that has said what it drives; nobody runs its loop."""
+    """Yield a live servo that has reported its device; its loop does not run."""
     mailbox = ServoMailbox(folder, 1000.0, "", simulated, 5)
     mailbox.report({"device": device, "simulated": simulated})
     mailbox.publish()

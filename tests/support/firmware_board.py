@@ -1,14 +1,14 @@
-"""The reference firmware, compiled, in the place of the simulated board's.
+"""The compiled reference firmware in place of the firmware of the simulated board.
 
-`FirmwareBoard` has the methods of `sim.board.BoardModel`, so it stands behind the pyusb backend and
-the injections as that does. The port functions of the C code are answered here by the same
-simulated plant; what the firmware decides, it decides alone. Between two calls of the firmware its
-outputs are held, and it is called exactly when it asked to be.
+`FirmwareBoard` has the methods of `sim.board.BoardModel`, so it works with the pyusb backend and
+the injections. The simulated plant provides the port functions of the C code; the firmware alone
+makes the decisions. Between two calls of the firmware its outputs are held. It is called exactly at
+the times it requested.
 
 Its clock starts a second before it wraps, so every run longer than that crosses the wrap.
 
-Limitations: times that are no whole microseconds (at 1 kHz a sub-step of T/16 is 62.5 us: all times
-are then rounded down, which two sub-steps undo).
+Limitations: times that are not whole microseconds. At 1 kHz a sub-step of T/16 is 62.5 us; all
+times are then rounded down, and two sub-steps cancel the error.
 """
 
 import ctypes
@@ -79,7 +79,7 @@ class Port(ctypes.Structure):
 
 
 def config_of(params: BoardParams) -> Config:
-    """What the board of `params` is, as its firmware has it in flash."""
+    """Return the configuration that the firmware of the board `params` has in flash."""
     hello_bytes = bytearray(codec.encode_hello(hello(params)))
     hello_bytes[: len(frames.PROTOCOL_HASH)] = bytes(len(frames.PROTOCOL_HASH))
     period_us = 1e6 / params.rate_hz
@@ -93,7 +93,7 @@ def config_of(params: BoardParams) -> Config:
 
 @dataclass
 class Outputs:
-    """What stands at the DACs."""
+    """The outputs of the DACs."""
 
     authority: bool = False
     torque: int = 0
@@ -117,7 +117,7 @@ class FirmwareBoard:
         self.out_refused = 0
         self.in_replaced = 0
         self.amplifier: Amplifier | None = None
-        self.active_damping_gain = 1.0  # of the circuit: damping over what is commanded
+        self.active_damping_gain = 1.0  # of the circuit: damping over command
         self.firmware = load_firmware(folder)
         self.out = Outputs()
         self._plant = make_plant(params)
@@ -226,7 +226,7 @@ class FirmwareBoard:
 
     @property
     def force_n(self) -> float:
-        """What the motor is commanded at this moment."""
+        """The present command to the motor."""
         if not self.out.authority:
             return 0.0
         force_n = self.out.torque * self.params.force_n_per_count
@@ -303,7 +303,7 @@ class FirmwareBoard:
         seen = (self.state, self.force_n, self.damping_n)
         velocity = plant.estimate(*seen)
         current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
-        # from which the circuit, with the resistance that it believes in, sees `velocity`
+        # from it and its assumed resistance the circuit computes `velocity`
         voltage_v = self._believed_ohm * current_a + params.torque_constant_n_per_a * velocity
         celsius = params.ambient_c if plant.celsius is None else plant.celsius(self.state)
         read = sensors.contents

@@ -1,7 +1,7 @@
-"""The reference firmware, compiled: as a library that a simulation calls, as a fuzzer that is
-sanitized, and as one that counts what it reaches.
+"""The compiled reference firmware: as a library for a simulation, as a sanitised fuzzer, and with a
+coverage count.
 
-`folder` holds the sources to build, all *.c of it: the reference, or what was made of it.
+`folder` holds the sources to build, all *.c in it: the reference or a modified copy.
 """
 
 import ctypes
@@ -26,11 +26,11 @@ COVERED = ["-O0", "--coverage"]
 
 
 class Reached(NamedTuple):
-    """What a run reached of one source."""
+    """The coverage of one source in a run."""
 
     lines_percent: float
     branches: int
-    missed: int  # branches that were never taken
+    missed: int  # branches without a hit
 
 
 def sources(folder: Path) -> list[Path]:
@@ -50,8 +50,8 @@ def load_firmware(folder: Path = REFERENCE) -> ctypes.CDLL:
 
 
 def fuzz(built: Path, steps: int, flags: Sequence[str], folder: Path = REFERENCE) -> str:
-    """Build the fuzzer in the folder `built`, and run it there; what it met. AssertionError with
-    its words if a promise was broken.
+    """Build the fuzzer in the folder `built`, run it there and return its report. AssertionError
+    with its message if a promise was broken.
     """
     files = [str(one) for one in (FUZZER, *sources(folder))]
     command = [*compiler(), *WARNINGS, *flags, *_includes(folder), *files, "-o", "fuzz"]
@@ -64,7 +64,7 @@ def fuzz(built: Path, steps: int, flags: Sequence[str], folder: Path = REFERENCE
 
 
 def reached(built: Path, folder: Path = REFERENCE) -> dict[str, Reached]:
-    """What the fuzzer, built in `built` with COVERED, reached of each source."""
+    """Return the coverage of each source by the fuzzer, built in `built` with COVERED."""
     return {one.name: _reached(built, one.name) for one in sources(folder)}
 
 

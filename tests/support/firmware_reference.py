@@ -1,5 +1,5 @@
-"""The reference firmware (firmware_iface/reference): what it takes and refuses, and that it does
-frame by frame what the simulated board does, whatever a host does to both.
+"""The reference firmware (firmware_iface/reference): accepted and refused input, and the comparison
+with the simulated board frame by frame, for any behaviour of the host.
 """
 
 CASE_BYTES = 4000  # about 210 frames

@@ -1,4 +1,4 @@
-"""One trial by the whole stack in lock-step, on whatever board the simulation is given."""
+"""One trial by the whole stack in lock-step, on the board given to the simulation."""
 
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
@@ -9,8 +9,8 @@ from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 
 
 def fig7_trial(board: type, seconds: float) -> TrialResult:
-    """A trial of the calibrated display of fig. 7, damped; AssertionError if it runs on another
-    kind of board than `board`.
+    """Run a trial of the calibrated display of fig. 7, damped. AssertionError if the board is not a
+    `board`.
     """
     trial = Trial((50.0, 2.0, 0.0), 1.74, seconds=seconds)
     plan = plan_trial(TrialParams(trial, load_scene("fig7")))

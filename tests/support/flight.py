@@ -1,5 +1,5 @@
-"""Running `servo.step` by hand: a tick counter, commands with masks, and a sample that is
-healthy unless told otherwise.
+"""Running `servo.step` by hand: a tick counter, commands with masks, and a sample that is healthy
+by default.
 """
 
 from typing import Any
@@ -53,7 +53,7 @@ class Flight:
         actor: int = 9,
         **sample: Any,
     ) -> Result:
-        """Command and tick; what became of it."""
+        """Run a tick with a command; return its result."""
         self._seq += 1
         request = self._seq, int(kind), actor, at_tick, masked(values or {})
         out = self._one((request,), **sample)
@@ -78,7 +78,7 @@ class Flight:
     ) -> Any:
         if encoder is not None:
             self.encoder = encoder
-        if status is None:  # of a board that grants what is asked
+        if status is None:  # as of a board that grants the request
             status = self.state[SETTLED].out_flags & ENABLE and int(StatusBit.ENABLED)
         temperature = AMBIENT_COUNT if celsius is None else round(celsius * 100)
         sample = (self.encoder, status, temperature, arrival, host, index, delay, current, damping)

@@ -1,7 +1,7 @@
-"""A perturbation as another acquisition system would have recorded it: with a clock of its own.
+"""A perturbation as another acquisition system would record it, with a separate clock.
 
-The signal between its samples is that of its Fourier series, 16 times as dense, and lines between
-these: nothing of what the package interpolates with.
+The signal between its samples is that of its Fourier series, 16 times as dense, and linear in
+between. It shares no code with the interpolation of the package.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ BEFORE = 3000  # samples of silence before the perturbation
 
 
 def played(seconds: float, seed: int = 1) -> np.ndarray:
-    """What the probe motor played [N]: silence, a marked perturbation, silence."""
+    """Return the force of the probe motor [N]: silence, a marked perturbation, silence."""
     noise = Excitation("noise", psd_n2_per_hz=2.5e-5, band_hz=1700.0)
     force = marked(torque_record(noise, SETTLE + round(4000 * seconds), seed))
     return np.concatenate((np.zeros(BEFORE), force, np.zeros(BEFORE)))

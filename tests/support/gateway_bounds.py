@@ -1,4 +1,4 @@
-"""What clients do costs them service, never the servo its heartbeat: counted, not timed."""
+"""The load of clients costs them service, never the servo its heartbeat: counted, not timed."""
 
 from support.gateway_rig import GatewayRig
 

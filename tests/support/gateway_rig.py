@@ -1,4 +1,4 @@
-"""Rigs for tests of gateway and client: the stand-in servo, virtual time, and either the command
+"""Rigs for tests of gateway and client: the substitute servo, virtual time, and either the command
 server alone or the whole gateway.
 """
 
@@ -35,8 +35,8 @@ def packed(**fields: Any) -> bytes:
 
 
 class CommandServerRig:
-    """A servo and a command server in front of it; no sockets. `ask` plays a client that waits for
-    its reply.
+    """A servo with a command server, without sockets. `ask` plays a client that waits for its
+    reply.
     """
 
     def __init__(self, folder: Path, worker: Worker | None = None) -> None:
@@ -49,7 +49,7 @@ class CommandServerRig:
         self.run(2)
 
     def start_gateway(self, lease: LeaseParams | None = None) -> None:
-        """A command server that knows nothing yet, in place of any other."""
+        """Replace the command server by one without state."""
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(self.folder, self.setup.servo, lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, self.setup.guard, self.worker)
@@ -58,17 +58,17 @@ class CommandServerRig:
         )
 
     def run(self, ticks: int = 1) -> list[list[bytes]]:
-        """Let ticks pass; the replies that came due."""
+        """Run `ticks` and return the due replies."""
         self.servo.tick(ticks)
         return self.look()
 
     def look(self) -> list[list[bytes]]:
-        """Let the command server look at the servo without a tick."""
+        """Let the command server read the servo without a tick."""
         self.view.refresh(self.clock.now_ns())
         return self.server.collect(self.clock.now_ns())
 
     def send(self, *payloads: bytes, client: bytes = b"a") -> list[dict[str, Any]]:
-        """Requests that come together; the replies given at once."""
+        """Send requests that arrive together; return the immediate replies."""
         return [
             decoded(reply)
             for reply in self.server.serve(
@@ -96,7 +96,7 @@ def decoded(frames: list[bytes]) -> Any:
 
 
 class GatewayRig:
-    """A servo and a whole gateway with its sockets, stepped by hand; sockets made here are
+    """A servo and a whole gateway with its sockets, stepped by hand. Sockets created here are
     closed with it.
     """
 
@@ -127,7 +127,7 @@ class GatewayRig:
             self.gateway.step(0)
 
     def restart_gateway(self) -> None:
-        """Another gateway in place of the one there is; the servo goes on."""
+        """Replace the gateway; the servo continues."""
         with self.lock:
             self.gateway.close()
             self.gateway = self._begin()

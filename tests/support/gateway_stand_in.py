@@ -1,8 +1,8 @@
-"""A small servo for tests of the gateway: it owns a mailbox, obeys commands at its ticks and writes
-records. It renders nothing.
+"""A small servo for tests of the gateway: it owns a mailbox, executes commands at its ticks and
+writes records. It renders no force.
 
-Its answers follow the contract of the mailbox (two commands a tick, effective values in every
-answer, a second answer for scheduled sets); its state machine is the happy path of the safety
+Its answers follow the contract of the mailbox: two commands per tick, effective values in every
+answer, a second answer for scheduled sets. Its state machine is the error-free path of the safety
 table.
 """
 
@@ -90,8 +90,8 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
 
 
 class StandInServo:
-    """Its mailbox is there once it is created; `tick()` runs one tick. `deaf`: takes no
-    commands; `mute`: gives no answers.
+    """A substitute servo; `tick()` runs one tick and the mailbox exists from the start. `deaf`:
+    takes no commands; `mute`: gives no answers.
     """
 
     def __init__(
@@ -116,13 +116,13 @@ class StandInServo:
         self.values = list(configured(setup().servo))
         self.scheduled: list[tuple[Any, ...]] = []
         self.word_pressers: set[int] = set()
-        self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of taking
+        self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of execution
         self.terms = layout.ANY_TERMS
         self.probe_index = 0
         self.probe_pairs = 4
         self.flags = 0
         self.force_n = 1.5
-        self.effect: float | None = None  # active damping that the board reports; None: as asked
+        self.effect: float | None = None  # damping that the board reports; None: as commanded
         self.frame = bytes(64)
 
     def tick(self, count: int = 1) -> None:
@@ -326,7 +326,7 @@ class StandInServo:
 
 
 def main(folder: Path, rate_hz: float) -> None:
-    """A live stand-in servo, until its standard input is closed."""
+    """Run a live substitute servo until its standard input is closed."""
     import select
 
     servo = StandInServo(folder, MonotonicClock(), rate_hz)

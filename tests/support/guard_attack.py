@@ -1,5 +1,5 @@
-"""The attack on the guard, on a few sequences: what it finds in guards that are none, and nothing
-in ours. Then ways to get past it, one by one.
+"""The attack on the guard, on a few sequences: it finds faults in defective guards and none in the
+product's. Then single attempts to bypass the guard.
 """
 
 from typing import Any

@@ -50,7 +50,7 @@ def rigid(
 
 
 def sprung(stiffness_n_per_m: float = 100.0) -> ModelParams:
-    """A rigid device that a spring of its own holds in place."""
+    """Return a rigid device with a spring that holds it in place."""
     effects: tuple[Effect, ...] = (
         Masses(rotor_kg=MASS_KG),
         Motor(torque_constant_nm_per_a=1.0, lever_m=1.0, resistance_ohm=1.0),
@@ -67,7 +67,7 @@ def sprung(stiffness_n_per_m: float = 100.0) -> ModelParams:
 
 
 def with_hidden_growth(model: ModelParams, rate_per_s: float = 10.0) -> ModelParams:
-    """The same device with a state that grows by itself and that neither probe nor law sees."""
+    """Return the same device with a growing state that neither probe nor law observes."""
 
     def wider(rows: Rows, corner: float | None) -> Rows:
         n = len(rows[0])
@@ -90,7 +90,7 @@ def with_hidden_growth(model: ModelParams, rate_per_s: float = 10.0) -> ModelPar
 
 
 def over_compensated(residual_c: float) -> ModelParams:
-    """A circuit that believes the winding hotter than it is by `residual_c`."""
+    """Return a circuit that overestimates the winding's temperature by `residual_c`."""
     effects: tuple[Effect, ...] = (
         Masses(rotor_kg=0.005),
         Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6),
@@ -102,7 +102,7 @@ def over_compensated(residual_c: float) -> ModelParams:
 
 
 def setup_of(model: ModelParams | None, ceiling: float = 10.0, **changes: Any) -> GuardSetup:
-    """A guard of that model; its other numbers are those of a shipped configuration."""
+    """Return a guard of that model, with the other numbers of a shipped configuration."""
     plain: dict[str, Any] = {
         "guard": GuardParams(),
         "config_hash": "hash of the servo",
@@ -138,8 +138,8 @@ def shipped_judge(device: str = "weir2008") -> Judge:
 
 
 def request(asked: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """What the worker is asked about a change: from a free display under `refuse`, unless `more`
-    says other.
+    """Return a request to the worker about a change, from a free display under `refuse` unless
+    `more` differs.
     """
     now = FREE | more.pop("now", {})
     return {
@@ -164,5 +164,5 @@ def request(asked: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 
 def change(judge: Judge, asked: dict[str, Any], **more: Any) -> dict[str, Any]:
-    """The answer to a change, as `request` asks it."""
+    """Return the answer to a change with the fields of `request`."""
     return judge.answer(request(asked, **more))

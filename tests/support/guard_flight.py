@@ -1,6 +1,8 @@
-"""K = 500 N/m, B = 2 N s/m in the hand that shakes them, active damping toggled twenty times: the
-command server of the gateway, the guard's judge, the servo, the board and the plant, on virtual
-time.
+"""K = 500 N/m and B = 2 N s/m in the hand that shakes them, with active damping toggled twenty
+times.
+
+The command server of the gateway, the guard's judge, the servo, the board and the plant run on
+virtual time.
 """
 
 from functools import lru_cache
@@ -26,13 +28,13 @@ DAMPING = 2.0
 TOGGLES = 20
 STRIKES_S = tuple(np.arange(0.4, 12.0, 0.37).tolist())
 HELD = ("refuse", "clamp", "follow")
-NEAR = 1.5  # a passive display at the edge of its set, little damped, may add so much
+NEAR = 1.5  # bound on the growth of a passive, little damped display at the edge of its set
 
 
 class Flight(NamedTuple):
-    """What a flight left."""
+    """The result of a flight."""
 
-    replies: list[tuple[str, dict[str, Any], dict[str, Any] | None]]  # asked, reply, later event
+    replies: list[tuple[str, dict[str, Any], dict[str, Any] | None]]  # request, reply, later event
     balance: Balance
     records: np.ndarray
     hands: list[dict[str, Any]]
@@ -64,7 +66,7 @@ def flight(policy: str, rendered: bool = True) -> Flight:
 
 
 def passive_m() -> float:
-    """How far the hand goes where nothing is rendered."""
+    """Return how far the hand goes without rendered force."""
     return flight("refuse", rendered=False).balance.furthest_m
 
 

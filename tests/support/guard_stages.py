@@ -1,4 +1,4 @@
-"""The guard with the judge it has, in front of the real servo, on virtual time: at every tick of a
+"""The real guard with its judge in front of the real servo, on virtual time. At every tick of a
 change in stages the board reports the damping that the environment in force needs.
 """
 
@@ -42,7 +42,7 @@ class Flight:
         self.fly(MOST_RECORDS + 20)  # before that a strict policy refuses every change
 
     def another_gateway(self) -> None:
-        """A command server that knows nothing yet, in place of any other."""
+        """Replace the command server by one without state."""
         self.view = ServoView(Path(self.stack.mailbox.folder), self.params, lambda: UNIX_NS)
         self.journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(), self.worker)
@@ -68,12 +68,12 @@ class Flight:
         return reply
 
     def ends(self) -> list[str]:
-        """How changes in stages ended since the last look."""
+        """Return how changes in stages ended since the last call."""
         return [one["result"] for one in self.journal.drain() if one["kind"] == "answer"]
 
 
 class ServerConnection:
-    """The line of a `Client` to the command server of `flight`, where there are no sockets."""
+    """The line of a `Client` to the command server of `flight`, without sockets."""
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
@@ -83,7 +83,7 @@ class ServerConnection:
         return self._flight.ask(cmd=cmd, **given)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing."""
 
 
 class AsyncServerConnection:
@@ -96,7 +96,7 @@ class AsyncServerConnection:
         return self._line.exchange(cmd, fields, timeout_s)
 
     async def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing."""
 
 
 def rendering(flight: Flight, policy: str) -> None:

@@ -1,4 +1,4 @@
-"""A guard's worker for tests that says what a script makes it say, in the gateway's process."""
+"""A guard's worker for tests that answers by a script, in the gateway's process."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ Script = Callable[[dict[str, Any]], dict[str, Any] | None]  # request -> answer;
 
 
 def verdict(safe: bool | None = True, text: str = "fine", **more: Any) -> dict[str, Any]:
-    """A verdict with what the tests look at."""
+    """Return a verdict with the fields that the tests use."""
     why = {"outcome": "safe", "reasons": [{"code": "spare", "text": text}], "remedies": []}
     if not safe:
         why["outcome"] = "warning" if safe is False else "unknown"
@@ -22,18 +22,18 @@ def stage(
 
 
 def applies(request: dict[str, Any]) -> dict[str, Any]:
-    """Whatever is asked is safe."""
+    """Judge every change safe."""
     stages = [stage(request.get("change", {}))]
     return {"action": "apply", "stages": stages, "verdict": verdict()}
 
 
 def refuses(request: dict[str, Any]) -> dict[str, Any]:
-    """Nothing is safe."""
+    """Judge every change unsafe."""
     return {"action": "refuse", "stages": [], "verdict": verdict(False, "it would ring")}
 
 
 class StubWorker:
-    """Answers at the next look, unless it is `silent`; `asked` holds what it was asked."""
+    """Answers at the next poll, unless it is `silent`; `asked` holds the requests."""
 
     def __init__(self, script: Script = applies) -> None:
         self.script = script
@@ -71,4 +71,4 @@ class StubWorker:
         self.state = "down"
 
     def close(self) -> None:
-        """Nothing to be ended."""
+        """Do nothing."""

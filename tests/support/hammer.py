@@ -38,8 +38,8 @@ def derived_places() -> list[bool]:
 
 
 def write_records(folder: Path) -> None:
-    """Publish records whose numbers are derived from their tick, as fast as Python can, until
-    the reader says stop.
+    """Publish records with numbers derived from their tick, as fast as Python can, until the reader
+    requests a stop.
     """
     servo = ServoMailbox(folder, 1000.0, "", True, 1)
     servo.publish()

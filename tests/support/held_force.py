@@ -25,7 +25,9 @@ def sampled(position_m: Floats, force_n: Floats, delay: float) -> npt.NDArray[np
 
 
 def in_effect(rows: npt.NDArray[np.void], delay: float) -> npt.NDArray[np.void]:
-    """The same with what a board would report of `sent_n` when the true delay is `delay`."""
+    """Return the same rows with the `sent_n` that a board would report for the true
+    delay `delay`.
+    """
     whole = int(delay)
     sent_at = np.maximum(np.arange(len(rows)) - 1 - whole, 0)
     rows["in_effect_n"] = rows["sent_n"][sent_at]

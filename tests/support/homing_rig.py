@@ -1,5 +1,5 @@
-"""A servo that homes on a plant, tick by tick, without the wire: what `servo.step` is given and
-what becomes of its force. Quick, for many seeds.
+"""A servo that homes on a plant, tick by tick, without the wire: the input of `servo.step` and the
+effect of its force. Quick, for many seeds.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ class Homed(NamedTuple):
     state: State
     fault: int
     homed: bool
-    error_m: float  # of the position that the servo believes, without the compression of a stop
+    error_m: float  # of the servo's position, without the compression of a stop
     worst_n: float
     fastest_m_per_s: float
     ticks: int
@@ -103,7 +103,7 @@ class Rig:
         return int(StatusBit.INDEX) if passed else 0
 
     def home(self, true_m: float, ticks: int = 20_000) -> Homed:
-        """Home to the end; `true_m` is where the stop or the mark stands."""
+        """Home to the end; `true_m` is the position of the stop or the mark."""
         self.fly()
         self.fly(Command.HOME)
         while self.plan.state is State.HOMING and self.tick < ticks:

@@ -1,14 +1,14 @@
-"""A hostile bench for two boards: whatever it does to one it does to the other, and it compares all
-that both let be seen.
+"""A hostile bench for two boards: it applies the same actions to both and compares all their
+observable outputs.
 
-What it does is read from bytes, whoever makes them (a seed, hypothesis): a good host's next frame
-where they are 0, else frames that are damaged, cut, forged with a fitting CRC, sent out of order,
-early, in bursts or twice; frames left unread; silence up to the end of the released damping; the
-emergency stop, board faults, codes at the event pins, requests of endpoint 0 and new starts of the
-firmware at any instant.
+The actions are read from bytes of any source (a seed, hypothesis). A byte of 0 is a valid frame of
+a host. Others are frames that are damaged, cut, forged with a valid CRC, out of order, early, in
+bursts or repeated; unread frames; silence up to the end of the released damping; the emergency
+stop, board faults, codes at the event pins, requests of endpoint 0 and restarts of the firmware at
+any instant.
 
-Everything happens at whole microseconds: on every sub-step of T/16 at 250, 1250, 2500 and 12500 Hz
-(5 us), on every second one at 1 kHz.
+All actions are at whole microseconds: on every sub-step of T/16 at 250, 1250, 2500 and 12500 Hz (5
+us), on every second one at 1 kHz.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ FAULTS = (
     StatusBit.AMPLIFIER_FAULT | StatusBit.OVER_TEMPERATURE,
 )
 GOOD_FLAGS = int(OutFlag.ENABLE | OutFlag.PERTURB)
-# what damages a sealed frame: place and value of a byte that is changed before the CRC is made
+# damage to a sealed frame: place and value of a byte that is changed before the CRC is computed
 FORGED = ((2, 1), (3, 0x08), (3, 0x80), (10, 7), (10, 255), (11, 1), (24, 1), (29, 128))
 
 
@@ -69,7 +69,7 @@ class Bytes:
 
 
 class Seen(NamedTuple):
-    """What may be seen of a board from outside, after a step."""
+    """The outputs of a board after a step."""
 
     packet: bytes | None
     next_in_ns: int | None
@@ -78,12 +78,12 @@ class Seen(NamedTuple):
     damping_n: float
     resistance: int
     refused: int
-    slip_ns: int  # what a pause cost the simulation
+    slip_ns: int  # effect of a pause on the simulation
     replies: tuple[bytes | None, ...]
 
 
 class Tally:
-    """How often what was met."""
+    """Counts of events."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -93,7 +93,7 @@ class Tally:
 
 
 def bench_params(data: Bytes) -> BoardParams:
-    """A board with some of its properties as the bytes say."""
+    """Return a board with some properties read from the bytes."""
     return board_params(
         rate_hz=RATES_HZ[data.take() % len(RATES_HZ)],
         watchdog_ms=WATCHDOGS_MS[data.take() % len(WATCHDOGS_MS)],
@@ -104,7 +104,7 @@ def bench_params(data: Bytes) -> BoardParams:
 
 
 class Bench:
-    """Two boards of the same parameters, and a host that does what `data` says to both."""
+    """Two boards of the same parameters, and a host that applies `data` to both."""
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class Bench:
             self.compare(kind)
 
     def step(self, kind: int) -> None:
-        """One thing of the table below."""
+        """Do one action of the table below."""
         if kind < 160:
             self.pass_time(kind)
             self.send(self.frame())
@@ -170,7 +170,7 @@ class Bench:
         self.each(lambda board: board._advance(self.t_ns))
 
     def pass_time(self, kind: int) -> None:
-        """A period for most; else nothing, or any time up to the longest."""
+        """Advance by a period in most cases, else by zero or any time up to the longest."""
         choice = kind % 8
         steps = self.data.take(2) if choice >= 6 else 0
         wait_ns = self.period_ns if choice < 6 else steps % 64 * self.grid_ns
@@ -179,7 +179,7 @@ class Bench:
         self.t_ns += min(wait_ns, LONGEST_NS // self.grid_ns * self.grid_ns)
 
     def fall_silent(self) -> None:
-        """Nothing is sent for up to 3 s; the board is still read."""
+        """Send nothing for up to 3 s, but read the board."""
         for _ in range(self.data.take() % 150):
             self.t_ns += LONGEST_NS // self.grid_ns * self.grid_ns
             self.settle()
@@ -219,7 +219,7 @@ class Bench:
         self.each(lambda board: board.on_out(memoryview(packet), self.t_ns))
 
     def request(self, kind: int) -> None:
-        """A request of endpoint 0: clear, hello, phase, or one that nobody knows."""
+        """Send a request of endpoint 0: clear, hello, phase, or an unknown one."""
         value = self.data.take(2)
         phase_us = value % 20 * self.grid_ns // 1000
         asked = (
@@ -233,7 +233,7 @@ class Bench:
             replies.append(board.control(*asked))
 
     def compare(self, kind: int) -> None:
-        """Read both boards, unless the bytes say that this frame is left, and look at them."""
+        """Read both boards, unless the bytes skip this frame, and compare them."""
         read = self.data.take() < 230
         python, firmware = (self.look(place, read) for place in range(2))
         assert python == firmware, f"step {kind} at {self.t_ns} ns, {self.params.rate_hz:g} Hz"
@@ -266,8 +266,8 @@ def compare_boards(
     tally: Tally,
     params: BoardParams | None = None,
 ) -> None:
-    """Run a bench over `data`; AssertionError where the board of `other` differs from the
-    simulated one. Without `params` the board is as the bytes say, too.
+    """Run a bench over `data`. AssertionError if the board of `other` differs from the simulated
+    one. Without `params` the bytes select the board too.
     """
     bench = Bench(data, other, tally, params)
     bench.run()

@@ -12,7 +12,7 @@ from support.devices import LIMIT, STAR
 
 FULL_NS_PER_M = 9.9
 LIMITS = AmplifierLimits(max_current_a=6.0, max_voltage_v=15.8, series_ohm=0.4, inductance_h=1e-4)
-SPEEDS = (3.0, 10.0, 50.0)  # m/s; at the last the back-EMF alone is five times the supply
+SPEEDS = (3.0, 10.0, 50.0)  # m/s; at the last the back-EMF is five times the supply
 WALL = WallParams(2e4, 10.0, position_m=0.0, side=1)
 
 
@@ -31,8 +31,8 @@ def impact(
 
 
 def stays_bounded(found: BatchResult, speed_m_per_s: float) -> None:
-    """No lane diverges, and it is never faster than it came, but for two amounts: 0.6 m/s that 10 N
-    give to 8 g in 0.5 ms, and 5 %, the error of one step of 250 us at 50 m/s.
+    """Assert that no lane diverges or exceeds its initial speed, except for two amounts. 10 N give
+    8 g 0.6 m/s in 0.5 ms; the error of one step of 250 us at 50 m/s is 5 %.
     """
     velocity = found.velocity_m_per_s
     assert velocity is not None

@@ -1,4 +1,4 @@
-"""What tests make once and keep for the next run: its folder, and one process at a time."""
+"""The cache of the tests between runs: its folder, and one process at a time."""
 
 import fcntl
 import os
@@ -14,7 +14,7 @@ def cache_folder() -> Path:
 
 @contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """While no other process holds the lock of that file."""
+    """Hold the lock of that file, exclusively."""
     with path.open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

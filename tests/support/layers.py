@@ -1,5 +1,5 @@
-"""What the processes really load. import-linter (in `make test`) holds the declared layers;
-this looks at what runs.
+"""The modules that the processes really load. import-linter (in `make test`) checks the declared
+layers; this checks the running processes.
 """
 
 import json
@@ -7,7 +7,7 @@ import subprocess
 import sys
 from typing import Any
 
-# logging is not among them: pyusb brings it along; nothing of ours may import it (import-linter)
+# without logging: pyusb imports it; no module of ours may import it (import-linter)
 NEVER_IN_SERVO = {
     "numpy",
     "scipy",

@@ -1,9 +1,9 @@
-"""A motor, a handle and a hand that are integrated exactly, with the balance of energies kept at
-the motor, for tests of what leaks.
+"""A motor, a handle and a hand, integrated exactly, with the balance of energies at the motor, for
+tests of leaking energy.
 
-One rigid body of `mass_kg` with the device's damping, the active one that is in effect, and a hand
-that holds it by a spring and a damper and pushes. The force of a tick takes effect `delay` periods
-after its sample (in eighths), through a first-order lag if the device has one.
+One rigid body of `mass_kg` with the device's damping, the active damping in effect, and a hand that
+holds it by a spring and a damper and pushes. The force of a tick takes effect `delay` periods after
+its sample (in eighths), through a first-order lag if the device has one.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ LIMIT_N = 8.0
 
 @dataclass(frozen=True)
 class Hand:
-    """What moves with the handle, and what holds it at `position_m`."""
+    """The mass that moves with the handle, and the grip that holds it at `position_m`."""
 
     mass_kg: float = 0.008  # the handle included
     stiffness_n_per_m: float = 0.0
@@ -62,7 +62,7 @@ def wander(hand: Hand, ticks: int, seed: int) -> list[float]:
 
 
 class LeakFlight(Flight):
-    """A flight whose handle moves by itself; all sums are of the simulated motor."""
+    """A flight with a simulated handle; all sums are those of the simulated motor."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class LeakFlight(Flight):
         self.push_n = 0.0
         self.work_j = 0.0  # done by the motor's force
         self.damped_j = 0.0  # by the credited damping
-        self.changed_j = 0.0  # what changes of parameters brought in, less what they took
+        self.changed_j = 0.0  # energy that changes of parameters added, minus the removed energy
         self.stored_j = 0.0
         self.leaks: list[float] = []  # J, by tick
         self.positions: list[float] = []

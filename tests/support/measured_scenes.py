@@ -53,7 +53,7 @@ def scene(
     kbm: Any = (0, 0, 0),
     **more: Any,
 ) -> Scene:
-    """A rigid device under noise, unless told otherwise; `kbm` is what it renders."""
+    """Return a rigid device under noise by default; it renders `kbm`."""
     more = {"excitation": Excitation("noise"), **more}
     rendered = Environment(float(kbm[0]), float(kbm[1]), float(kbm[2]))
     return Scene(
@@ -69,7 +69,7 @@ def scene(
 
 
 def stopwatch() -> Callable[[], int]:
-    """Every reading is a millisecond after the one before: each call that is timed takes 1 ms."""
+    """Return a clock that advances by 1 ms per reading, so every timed call takes 1 ms."""
     now = iter(range(0, 10**15, 1_000_000))
     return lambda: next(now)
 

@@ -1,6 +1,6 @@
-"""Fly a million ticks of the whole stack with noise on; print by how many kB its own
-(anonymous) memory grew after the first, in the half in which it grew less: what leaks grows in
-both, while pages that the kernel took back before may return once.
+"""Fly a million ticks of the whole stack with noise on, and print the growth of its private
+(anonymous) memory in kB after the first. Printed is the smaller growth of the two halves: a leak
+grows in both, while pages that the kernel reclaimed earlier may return once.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.models import servo_params
 
-# the records of what is flown at once are kept until it has been
+# the records of one block (AT_ONCE ticks) are kept until its end
 WARM_UP = 100_000
 TICKS = 1_000_000
 AT_ONCE = 1000

@@ -60,7 +60,7 @@ def servo_params(**changes: Any) -> ServoParams:
 
 
 def environment_tuple(params: Environment, limit_n: float) -> LawInputs:
-    """`params` as the law takes them, without bias."""
+    """Return `params` as the law takes them, without bias."""
     wall = params.wall
     ends = params.workspace
     kbm = (params.stiffness_n_per_m, params.virtual_damping_ns_per_m, params.mass_kg)

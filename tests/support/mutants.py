@@ -1,4 +1,5 @@
-"""Known defects as entries of tests/mutants/*.toml, and how one is put into the text of a file.
+"""Known defects as entries of tests/mutants/*.toml, and how one is inserted into the text of a
+file.
 
     [[mutant]]
     name = "zero_without_a_position"
@@ -9,11 +10,10 @@
     new = "True"                   # "" leaves the statements out
     tests = ["test_servo_origin.py::test_zero_waits_for_a_frame"]
 
-A mutant of several places has them in `change = [{function = ..., old = ..., new = ...}, ...]`.
-`old` is compared as syntax, without positions, comments and layout, and has to occur just once in
-the function. So a mutant survives reformatting and what changes around it, and a renamed function
-is named in one line. In files of other languages `old` is exact text that occurs once, and there is
-no `function`.
+`old` is compared as syntax, without positions, comments and layout, and must occur exactly once in
+the function. A mutant therefore survives reformatting and changes around it, and a renamed function
+changes one line. In files of other languages `old` is exact text that occurs once, and `function`
+is absent.
 """
 
 import ast
@@ -31,7 +31,7 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 
 
 class DoesNotApply(Exception):
-    """The code has moved on: the place of the mutant is gone, or is no longer one place."""
+    """The code has changed: the place of the mutant is missing or ambiguous."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Mutant:
-    """One defect: what is no longer true, where it is put, and the tests that must fail."""
+    """One defect: the broken property, its place, and the tests that must fail."""
 
     name: str
     claim: str
@@ -101,7 +101,7 @@ class _Place:
     """Consecutive statements, or one expression, of the file."""
 
     nodes: Sequence[ast.AST]
-    fills_body: bool = False  # nothing else is in the block
+    fills_body: bool = False  # the block has no other statement
 
 
 @lru_cache(maxsize=1)  # the mutants of a file follow each other; the tree stays as it is
@@ -156,7 +156,7 @@ def _statements(scope: ast.AST, wanted: list[ast.stmt]) -> Iterator[_Place]:
 def _expressions(scope: ast.AST, wanted: str) -> Iterator[_Place]:
     if isinstance(scope, ast.expr) and ast.dump(scope) == wanted:
         yield _Place([scope])
-    if not isinstance(scope, ast.JoinedStr):  # what is in an f-string has no place of its own
+    if not isinstance(scope, ast.JoinedStr):  # the parts of an f-string have no exact position
         for node in ast.iter_child_nodes(scope):
             yield from _expressions(node, wanted)
 

@@ -1,8 +1,8 @@
 """Devices with one narrow mode, and the theorem for them from a closed form on a dense grid.
 
-A rotor that carries probe and motor, a slider with the encoder, a spring and a damper between them.
-With the rotor held the command moves nothing, so e = 0, h = H0 and q = T(s)/s with T the slider's
-motion per rotor motion: the condition of `theorem` needs no matrix.
+A rotor with probe and motor, a slider with the encoder, and a spring and a damper between them.
+With the rotor held the command moves nothing, so e = 0, h = H0 and q = T(s)/s, where T is the
+slider's motion per rotor motion. The condition of `theorem` then needs no matrix.
 """
 
 from typing import NamedTuple
@@ -86,9 +86,9 @@ def dense_angles(device):
 class ClosedForm:
     """The condition |1 + C g|^2 >= R^2 |C|^2 at dense angles.
 
-    R^2 is that of the theorem, sum |h|^2/r sum |q|^2/r / 4, which holds for hands that change with
-    time as well; `constant`: the smaller (sum |hq|/r)^2 / 4 of those that do not. They reach every
-    point of that circle, so beyond it some hand shakes the device.
+    R^2 is that of the theorem, sum |h|^2/r sum |q|^2/r / 4, which is valid for time-varying hands
+    too. `constant`: the smaller (sum |hq|/r)^2 / 4 of time-invariant hands. These reach every point
+    of that circle, so beyond it some hand destabilises the device.
     """
 
     def __init__(self, device, constant=False):
@@ -102,7 +102,7 @@ class ClosedForm:
         held = held * np.exp(-1j * phase * device.delay_periods)
         seen = carried / s
         a = (np.abs(held) ** 2 / resistance).sum(axis=1)
-        # beyond HARMONICS the slider stands still
+        # beyond HARMONICS the slider does not move
         a += (1.0 - (np.abs(held) ** 2).sum(axis=1)) / (device.viscous_ns_per_m + c)
         b = (np.abs(seen) ** 2 / resistance).sum(axis=1)
         centre = 0.5 * (held * seen / resistance).sum(axis=1)
@@ -115,14 +115,18 @@ class ClosedForm:
         )
 
     def holds(self, points):
-        """True (N,) where the condition, a quadratic form in K, B, M, holds at all angles."""
+        """Return True (N,) where the condition, a quadratic form in K, B, M, is met at
+        all angles.
+        """
         points = np.asarray(points)
         products = points[:, FIRST] * points[:, SECOND]
         return (np.hstack((points, products)) @ self.terms).min(axis=1) >= -1.0
 
 
 def edge(holds, direction):
-    """The factor of `direction` up to which `holds` is true, to 1e-9; inf for no end."""
+    """Return the factor of `direction` up to which `holds` is true, to 1e-9; inf if there is no
+    limit.
+    """
     shares = np.geomspace(1e-3, 10.0, 140)
     flags = holds(shares[:, None] * direction)
     if flags.all():

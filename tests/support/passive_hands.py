@@ -1,8 +1,7 @@
 """Random passive hands over wide logarithmic ranges: grips, arms, resonators, creep, meshes; also
 lossless and massless ones.
 
-Every node hangs on the others by springs, so that a hand as a whole may drift, but no part of it
-alone.
+Springs connect every node to the others, so that a hand as a whole may drift, but no part of it.
 """
 
 import numpy as np
@@ -13,7 +12,7 @@ GROUND = -1  # number of the node that is the wall
 
 
 class Network:
-    """A hand under construction: nodes and what joins them; `GROUND` is the wall."""
+    """A hand under construction: nodes and their connections; `GROUND` is the wall."""
 
     def __init__(self, mass_kg: float = 0.0) -> None:
         self._masses = [mass_kg]
@@ -68,7 +67,7 @@ class Draw:
         )
 
     def link(self, one, other, loose=0.0):
-        """Spring and damper; half of them with a Maxwell arm beside."""
+        """Add a spring and a damper; half of them with a parallel Maxwell arm."""
         self.network.join(
             one,
             other,

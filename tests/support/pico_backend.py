@@ -1,10 +1,10 @@
-"""A pyusb backend over the emulated board, on any clock: what pyusb learns of the device are the
-descriptors that the chip itself sends.
+"""A pyusb backend over the emulated board, on any clock. pyusb reads the descriptors that the chip
+itself sends.
 
-The chip lives up to the clock's time before each transfer, and the clock goes on to the chip's when
-the transfer has ended: a transfer takes what it takes on the emulated bus, and a time-out is one of
-that time. With a VirtualClock host and chip are in lock-step, whatever the machine does meanwhile.
-It has transfers in flight as well (`hapticd.usb.flight`).
+Before each transfer the chip runs up to the clock's time; after the transfer the clock advances to
+the chip's time. A transfer takes its time on the emulated bus, and time-outs are counted in that
+time. With a VirtualClock host and chip are in lock-step, independently of the load of the machine.
+It also supports transfers in flight (`hapticd.usb.flight`).
 """
 
 import errno
@@ -43,19 +43,19 @@ FIELDS = {
 }
 ENDLESS_MS = 10_000
 REQUEST_MS = 1000
-# errno of the controller: what libusb makes of it
+# errno of the controller: its value in libusb
 AS_LIBUSB = {errno.EPROTO: errno.EIO, errno.ESHUTDOWN: errno.ENODEV}
 PENDING = -1
 PACKET = 64
 
 
 def failure(status: int) -> Exception:
-    """What pyusb raises for a transfer that ended with `status`, a negative errno."""
+    """Return the exception of pyusb for a transfer that ended with `status`, a negative errno."""
     return usb_error(AS_LIBUSB.get(-status, -status))
 
 
 class PicoBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
-    """The board of `rig` at the bus of a host whose time is that of `clock`."""
+    """The board of `rig` at the bus of a host with the time of `clock`."""
 
     def __init__(self, rig: Rig, clock: Clock) -> None:
         self.rig = rig
@@ -105,9 +105,9 @@ class PicoBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no t
         raw = struct.pack("<BBHHH", *setup)
         return self._end(self.rig.chip.submit(0, setup[-1], b"", raw), timeout_ms)
 
-    # --- what pyusb asks --------------------------------------------------------------------------
+    # --- interface of pyusb -----------------------------------------------------------------------
     def enumerate_devices(self) -> Iterator[object]:
-        if self.rig.chip.state.unplugs != self._unplugs:  # it has left, and comes again
+        if self.rig.chip.state.unplugs != self._unplugs:  # it has left and returned
             self.follow()
             self.plug()
         return iter([self.device])
@@ -219,7 +219,7 @@ class PicoBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no t
 
 
 class PicoFlight:
-    """One OUT and one IN at most that are under way while the host does something else."""
+    """At most one OUT and one IN in flight while the host continues."""
 
     def __init__(self, backend: PicoBackend, out_endpoint: int, in_endpoint: int) -> None:
         self._backend = backend

@@ -1,10 +1,10 @@
-"""The emulated board in the place of the simulated one: the methods of `sim.board.BoardModel` that
-a host's end of the wire can have. What the reference firmware on the PC is asked of, may be asked
-of the image.
+"""The emulated board in place of the simulated one: the methods of `sim.board.BoardModel` that a
+host's end of the wire can have. Tests of the reference firmware on the PC can then run on the
+image.
 
-Packets come and go by transactions of the emulated bus. So an OUT of time t is worked on some 50 us
-later, and so is what is read at t; in between nothing is due where a host acts every 250 us and
-frames are latched halfway.
+Packets are transactions of the emulated bus. The chip processes an OUT of time t about 50 us later,
+and likewise a read at t. No event is due in between if a host acts every 250 us and frames are
+latched halfway.
 """
 
 import errno
@@ -27,13 +27,13 @@ SET_CONFIGURATION = bytes((0, 9, 1, 0, 0, 0, 0, 0))
 INTERVAL_NS = 250 * NS_PER_US
 OBEYED_NS = 60 * NS_PER_US  # after its time the torque of an OUT acts
 HANDLED_NS = 75 * NS_PER_US  # after its time an OUT has been worked on
-READ_NS = 90 * NS_PER_US  # after its time the chip is asked for an IN
+READ_NS = 90 * NS_PER_US  # delay after its time until the chip is read
 TAKEN_NS = 100 * NS_PER_US  # for an IN transaction, behind a SOF too
 PHASE_US = 875
 WORK_NS = 8 * NS_PER_US  # from the end of an OUT to the clock's reading
 INTO_INTERVAL_NS = 17 * NS_PER_US  # where an OUT begins, so that it is worked on after the interval
 SETTLE_NS = 5 * NS_PER_MS
-# the firmware of a board that says SIMULATED, as tests expect it of one
+# the firmware of a board that reports SIMULATED, as tests expect
 SIMULATED: Change = (
     "port.c",
     "HAPTICD_CAPABILITY_SAMPLE_PHASE)",
@@ -46,9 +46,7 @@ STATUS_AT = 6  # of an IN frame
 
 
 def told_nothing_of_pairs(packet: bytes) -> bytes:
-    """An IN frame without PROBE_OVERFLOW: on the chip pairs that nobody asks for are lost before
-    the host comes.
-    """
+    """Return an IN frame without PROBE_OVERFLOW: the chip drops pairs before the host connects."""
     body = bytearray(packet[: -CRC.size])
     (status,) = STATUS.unpack_from(body, STATUS_AT)
     STATUS.pack_into(body, STATUS_AT, status & ~StatusBit.PROBE_OVERFLOW)
@@ -105,7 +103,7 @@ class PicoBoard:
         intervals = (self.rig.now_ns - begun_ns - self._boot_ns) // INTERVAL_NS + 2
         self._base_ns = begun_ns + self._boot_ns + intervals * INTERVAL_NS + INTO_INTERVAL_NS
         self._origin_ns: int | None = None
-        self._due_ns: list[int] = []  # when the frames that were asked for are latched
+        self._due_ns: list[int] = []  # latch times of the requested frames
 
     def _begin(self, t_ns: int) -> None:
         """The first OUT; a host that has read before it comes some intervals later."""
@@ -133,7 +131,7 @@ class PicoBoard:
         late_ns = self.rig.now_ns - self._chip_ns(t_ns)
         # an instruction that was begun before its time ends after it
         self.late_ns = late_ns if late_ns > INSTRUCTION_NS else 0.0
-        self._base_ns += self.late_ns  # from now on all is so much later
+        self._base_ns += self.late_ns  # delay all later times by this
         result = self.rig.wait(self.chip.submit(OUT, 0, bytes(data)), NS_PER_MS)
         assert result.status == 0
         self._due_ns.append(t_ns + PHASE_US * NS_PER_US)
@@ -146,7 +144,7 @@ class PicoBoard:
         return None if result.status == -errno.ETIMEDOUT else result.data
 
     def next_in_ns(self) -> int | None:
-        """When the next frame is latched, if the OUT that asks for it was not refused."""
+        """Return when the next frame is latched, unless its OUT was refused."""
         return self._due_ns[0] if self._due_ns else None
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
@@ -166,7 +164,7 @@ class PicoBoard:
 
     @property
     def force_n(self) -> float:
-        """What the motor is commanded at this moment."""
+        """The present command to the motor."""
         state = self.chip.state
         return state.torque * self.params.force_n_per_count if state.amplifier else 0.0
 

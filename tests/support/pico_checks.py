@@ -1,6 +1,6 @@
-"""What the shipped image of the Pico has to do, one function a subject: each raises AssertionError
-where a board does not. tests/acceptance/pico asks it of the shipped image, and of images with a
-defect, for each of which one of them has to fail.
+"""Checks of the shipped image of the Pico, one function per subject; each raises AssertionError on
+a failure. tests/acceptance/pico runs them on the shipped image, and on images with a defect; each
+defect has to fail one of them.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ DAMPING = 2.0  # N s/m
 TRIM = 1000  # counts of the resistance
 STOP_BUSY_US = 60.0
 STOP_US = 10.0  # from the stop's pin to the amplifier's; the chip adds its interrupt entry
-WATCHDOG_MS = 6.0  # of the hardware; 5 ms and what it was last fed before
+WATCHDOG_MS = 6.0  # of the hardware: 5 ms plus the interval since the last feed
 # steps of a part, in counts of the wire; the first has damping on its upper half
 TORQUE_STEPS = {"dac8563": 1, "mcp4922": 16}
 DAMPING_STEPS = {"dac8563": 2, "mcp4922": 16, "dac8812": 1}
@@ -29,7 +29,7 @@ LIFE = 0x100
 
 
 def check_power_up(chip: PicoChip, rig: Rig) -> None:
-    """Without a host: it comes to the bus, makes no torque, and stays as it is."""
+    """Without a host the board attaches to the bus, makes no torque, and stays so."""
     assert rig.plug(), chip.complaints()
     rig.advance(rig.now_ns + 50e6)
     told = chip.told()
@@ -40,7 +40,7 @@ def check_power_up(chip: PicoChip, rig: Rig) -> None:
 
 
 def check_descriptors(host: PicoHost) -> None:
-    """As firmware_iface/PROTOCOL.md says, and the serial number is the one of HELLO."""
+    """Descriptors agree with firmware_iface/PROTOCOL.md; the serial number is that of HELLO."""
     backend = host.backend
     device = backend.get_device_descriptor(None)
     assert (device.idVendor, device.idProduct) == (USB_VENDOR, USB_PRODUCT)
@@ -54,7 +54,7 @@ def check_descriptors(host: PicoHost) -> None:
 
 
 def check_exchange(host: PicoHost) -> None:
-    """Each frame is answered, in order, by the frame that it asked for."""
+    """Each frame is answered, in order, by the frame that it requested."""
     first = host.tick(enable=False)
     for number in range(1, 30):
         frame = host.tick(0.1, DAMPING)
@@ -63,8 +63,8 @@ def check_exchange(host: PicoHost) -> None:
 
 
 def check_replaced(host: PicoHost) -> None:
-    """A frame that nobody takes is replaced by the next one, or kept where silicon cannot; the
-    frames after it come in order.
+    """An unread frame is replaced by the next one, or kept where the silicon cannot replace it. The
+    frames after it arrive in order.
     """
     host.tick(enable=False)
     oldest = host.seq
@@ -78,7 +78,7 @@ def check_replaced(host: PicoHost) -> None:
 
 
 def check_race(host: PicoHost) -> None:
-    """A host that reads just while a frame is replaced gets whole frames, none of them twice."""
+    """A host that reads during a replacement gets whole frames, each only once."""
     host.tick(enable=False)
     seqs = []
     for step in range(40):
@@ -113,7 +113,7 @@ def check_burst(host: PicoHost) -> None:
 
 
 def check_outputs(host: PicoHost) -> None:
-    """Torque and damping stand at their DACs, to the rounding, with either sign."""
+    """The DACs output torque and damping, to the rounding, with either sign."""
     host.start()
     for torque_n in (TORQUE_N, -TORQUE_N, 0.0, 7.99, -7.99):
         host.tick(torque_n, DAMPING)
@@ -127,7 +127,7 @@ def check_outputs(host: PicoHost) -> None:
 
 
 def check_trim(host: PicoHost) -> None:
-    """The resistance trim acts without ENABLE, never below 0; the protocol's watchdog leaves it."""
+    """The resistance trim acts without ENABLE, never below 0; the protocol's watchdog keeps it."""
     told = session.greet(host.link.request(Request.HELLO, HELLO_BYTES))
     assert told.capabilities & Capability.RESISTANCE
     for count in (1, 32767, -1, 20000):
@@ -150,7 +150,7 @@ def check_encoder(host: PicoHost) -> None:
 
 
 def check_skip(host: PicoHost) -> None:
-    """A step by two states is ENCODER_FAULT, which takes the torque."""
+    """A step by two states is ENCODER_FAULT, which disables the torque."""
     host.start()
     assert host.chip.state.amplifier == 1
     host.chip.tell(Verb.SKIP)
@@ -162,7 +162,7 @@ def check_skip(host: PicoHost) -> None:
 
 
 def _amplifier_off_ns(host: PicoHost) -> float:
-    """When the amplifier's pin went low, of the changes since the last call."""
+    """Return when the amplifier's pin went low, among the changes since the last call."""
     changes = host.chip.told()["changes"]
     off = [at for at, name, value in changes if name == "amplifier" and value == 0]
     assert off, "the amplifier stays enabled"
@@ -205,7 +205,7 @@ def check_stop_busy(host: PicoHost) -> None:
 
 
 def check_ready(host: PicoHost) -> None:
-    """An amplifier that is not ready, or whose wire is broken, gets no torque."""
+    """An amplifier that is not ready, or has a broken wire, gets no torque."""
     for level in (0, OPEN):
         host.chip.drive("ready", 1)
         host.tick(enable=False)
@@ -250,8 +250,8 @@ def check_silence(host: PicoHost) -> None:
 
 
 def check_reset(host: PicoHost) -> None:
-    """In a reset of the processor the DACs keep what they put out: only the amplifier's enable
-    takes the force. The firmware writes none of anything when it starts again.
+    """In a reset of the processor the DACs keep their outputs: only the amplifier's enable removes
+    the force. The restarted firmware writes no output.
     """
     host.start(TORQUE_N, DAMPING)
     host.write(host.out(TORQUE_N, DAMPING, trim=TRIM))
@@ -291,16 +291,16 @@ def _check_dies(host: PicoHost, how: Verb) -> None:
 
 
 def check_hang(host: PicoHost) -> None:
-    """The processor stops: the hardware watchdog ends the torque and starts it anew."""
+    """The processor stops: the hardware watchdog ends the torque and restarts it."""
     _check_dies(host, Verb.HANG)
 
 
 def check_deaf(host: PicoHost) -> None:
-    """The processor runs and gets no interrupt: nothing but the service feeds the watchdog."""
+    """The processor runs without interrupts: only the service feeds the watchdog."""
     _check_dies(host, Verb.DEAF)
 
 
-# of frames that lie in the board unread: with transfers in flight one is always asked for
+# about unread frames in the board: with transfers in flight one IN is always pending
 IN_TURN = ("replaced", "race", "burst", "stop_busy")
 CHECKS: dict[str, Callable[[PicoHost], None]] = {
     "descriptors": check_descriptors,

@@ -1,5 +1,5 @@
 """The emulated board as a process (tests/acceptance/pico/server.mjs): requests and replies over two
-pipes, one round trip for each stretch of its time. Nothing here waits for the machine's clock.
+pipes, one round trip for each interval of its time. It never waits for the machine's clock.
 """
 
 import json
@@ -26,7 +26,7 @@ OPEN = 2  # a wire that is broken
 
 
 class Verb(IntEnum):
-    """What the process is asked."""
+    """The requests to the process."""
 
     RUN = 1
     SUBMIT = 2
@@ -41,7 +41,7 @@ class Verb(IntEnum):
 
 
 class Result(NamedTuple):
-    """How a transfer ended: 0 or a negative errno, and what came in."""
+    """The end of a transfer: 0 or a negative errno, and the received data."""
 
     status: int
     data: bytes
@@ -74,7 +74,7 @@ class Wiring:
     unique_id: str = UNIQUE_ID
 
     def words(self) -> str:
-        """As the process takes it."""
+        """Return the wiring in the format of the process."""
         told = {
             "pins": self.pins,
             "dac": self.dac,
@@ -104,7 +104,7 @@ class PicoChip:
             stdout=subprocess.PIPE,
             bufsize=0,
         )
-        self.drive("stop", 1)  # closed: nobody presses it
+        self.drive("stop", 1)  # closed: not pressed
         self.drive("ready", 1)
         self.run(1.0)
 
@@ -118,7 +118,7 @@ class PicoChip:
 
     # --- the pipes --------------------------------------------------------------------------------
     def tell(self, verb: Verb, body: bytes = b"") -> None:
-        """Something that has no reply; it goes with the next question."""
+        """Queue a message without a reply; it is sent with the next request."""
         self._pending += LENGTH.pack(len(body) + 1) + bytes((verb,)) + body
 
     def ask(self, verb: Verb, body: bytes = b"") -> bytes:
@@ -140,7 +140,7 @@ class PicoChip:
             got += more
         return got
 
-    # --- what may be asked ------------------------------------------------------------------------
+    # --- requests ---------------------------------------------------------------------------------
     def run(self, until_ns: float, counts: list[int] | None = None) -> None:
         """Run until then, or until an output changed or a transfer ended. `counts` are the
         encoder's at the ends of the next pieces of the plant.
@@ -165,12 +165,12 @@ class PicoChip:
         return number
 
     def cancel(self, number: int) -> None:
-        """Take a transfer back."""
+        """Cancel a transfer."""
         self.tell(Verb.CANCEL, LENGTH.pack(number))
         self.results.pop(number, None)
 
     def drive(self, pin: str, level: int) -> None:
-        """Connect a pin to 0, to 1, or to nothing (OPEN)."""
+        """Connect a pin to 0, to 1, or leave it open (OPEN)."""
         self.tell(Verb.PIN, bytes((self.wiring.pins[pin], level)))
 
     def told(self) -> dict[str, Any]:
@@ -179,7 +179,7 @@ class PicoChip:
         return told
 
     def complaints(self) -> list[str]:
-        """What a chip would not have forgiven, as "kind: text"."""
+        """Return the violations that a real chip would not tolerate, as "kind: text"."""
         return [f"{one['kind']}: {one['text']} (x{one['times']})" for one in self._complaints()]
 
     def complaint_kinds(self) -> set[str]:

@@ -1,6 +1,6 @@
-"""Defects of the Pico's firmware, put into a copy of its sources, and what finds each: a check of
-`pico_checks`, and where the defect is one that only a chip would not forgive, the kind of the
-emulator's complaint.
+"""Defects of the Pico's firmware, inserted into a copy of its sources, with the check of
+`pico_checks` that finds each. For a defect that only a real chip would not tolerate, the kind of
+the emulator's complaint is added.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from support.pico_firmware import Change
 
 
 class Defect(NamedTuple):
-    """What is changed, the check that finds it, the complaint if there is one, and the silicon."""
+    """The change, the check that finds it, the complaint if any, and the silicon."""
 
     changes: tuple[Change, ...]
     check: str

@@ -1,5 +1,5 @@
-"""Images of the Pico's firmware for the emulator: the one that is shipped, others by macros of its
-config.h, and ones with a defect that is put into a copy of the sources.
+"""Images of the Pico's firmware for the emulator: the shipped one, variants by macros of its
+config.h, and variants with a defect inserted into a copy of the sources.
 """
 
 import atexit
@@ -31,11 +31,13 @@ NAMES = {  # of pins.h, in the emulator
 SPI_OF_DAC = 0
 LACKS = ("probe", "interval_mean", "temperature")  # capabilities of the simulated board
 Defines = tuple[tuple[str, str], ...]
-Change = tuple[str, str, str]  # file, text, what takes its place
+Change = tuple[str, str, str]  # file, text, replacement
 
 
 class Dacs(NamedTuple):
-    """The parts that make torque and damping: rows of dac_parts.c, in the emulator's words."""
+    """The parts that make torque and damping: rows of dac_parts.c, by their names in
+    the emulator.
+    """
 
     torque: str = "dac8563"
     damping: str = "dac8812"
@@ -57,7 +59,7 @@ def wiring(dacs: Dacs = AS_SHIPPED) -> Wiring:
 
 
 def pico_params(**changes: object) -> BoardParams:
-    """The simulated board that is what the shipped image says of itself."""
+    """Return the simulated board with the properties that the shipped image reports."""
     told = dict(CONFIG.findall((SOURCES / "config.h").read_text()))
     watchdog_ms = float(told["WATCHDOG_MS"])
     board = board_params(serial=UNIQUE_ID, lacks=LACKS, watchdog_ms=watchdog_ms)

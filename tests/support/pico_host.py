@@ -103,11 +103,11 @@ class PicoHost:
         return frame
 
     def pause(self, ms: float) -> None:
-        """Send nothing for so long."""
+        """Send nothing for `ms`."""
         self.clock.sleep_until_ns(self.clock.now_ns() + round(ms * NS_PER_MS))
         self.backend.follow()
 
     def plug_again(self) -> None:
-        """The board has left the bus, and is enumerated anew."""
+        """Enumerate a board that has left the bus."""
         self.backend.plug()
         self.link.open()

@@ -1,9 +1,9 @@
-"""The hostile bench of `support.hostile` for the image in the emulator, beside the compiled
-reference firmware on the PC: whatever a host does to both, the same comes back.
+"""The hostile bench of `support.hostile` for the image in the emulator, compared with the compiled
+reference firmware on the PC: the same input gives the same output.
 
-The host acts every 250 us, and frames are latched halfway: what takes 50 us on the chip and nothing
-on the PC never changes the order of two things. What is a time or the encoder's may differ: the age
-of a torque by the time that an OUT takes to its DAC.
+The host acts every 250 us, and frames are latched halfway. Work that takes 50 us on the chip and no
+time on the PC therefore never changes an order. Times and encoder values may differ: the age of a
+torque by the time from an OUT to its DAC.
 """
 
 from hapticd.core.units import NS_PER_MS
@@ -18,7 +18,7 @@ from support.pico_firmware import pico_params
 AGE_US = 50
 SAME = ("seq", "echo", "axis", "status", "fifo_level", "damping_effect", "torque_seq")
 HALVES_US = (125, 375, 625, 875)  # phases
-# pairs that nobody asks for are lost, on the chip since before the host came
+# unread pairs are lost, on the chip since before the host connected
 UNTOLD = StatusBit.PROBE_OVERFLOW
 DAC_N = 8.0 / 32767  # a step
 WATCHDOG_MS = 250.0
@@ -26,11 +26,11 @@ LONGEST = 40  # intervals
 
 
 class PicoBench(Bench):
-    """The compiled reference firmware and the image, and a host that does what `data` says."""
+    """The compiled reference firmware and the image, and a host that applies `data` to both."""
 
     def __init__(self, data: bytes, tally: Tally) -> None:
         self.data = Bytes(data)
-        # heavy, so that random torques never make it faster than the decoder
+        # heavy, so that random torques stay within the speed of the decoder
         self.params = pico_params(watchdog_ms=WATCHDOG_MS, mass_kg=10.0)
         self.pico = PicoBoard(self.params)
         self.boards = (FirmwareBoard(self.params), self.pico)
@@ -58,7 +58,9 @@ class PicoBench(Bench):
             self.request(kind)
 
     def pass_time(self, kind: int) -> None:
-        """A period for most; else some intervals, but never to where the watchdog trips."""
+        """Advance by a period in most cases, else by some intervals, never until the watchdog
+        trips.
+        """
         steps = 4 if kind % 8 < 6 else 1 + self.data.take(2) % LONGEST
         self.t_ns += steps * INTERVAL_NS
         if self.t_ns - self._fed_ns == WATCHDOG_MS * NS_PER_MS:
@@ -70,7 +72,7 @@ class PicoBench(Bench):
         assert self.pico.late_ns == 0.0
 
     def fall_silent(self) -> None:
-        """Nothing is sent, for up to 3 s once in a while; the boards are still read."""
+        """Send nothing, sometimes for up to 3 s, but read the boards."""
         length = self.data.take()
         self.t_ns += INTERVAL_NS
         self.settle()
@@ -92,7 +94,7 @@ class PicoBench(Bench):
         self.t_ns += INTERVAL_NS
 
     def compare(self, kind: int) -> None:
-        """Read both boards, unless the bytes say that this frame is left, and look at them."""
+        """Read both boards, unless the bytes skip this frame, and compare them."""
         where = f"step {kind} at {self.t_ns} ns"
         reference, pico = self.boards
         assert self.replies[0] == self.replies[1], where

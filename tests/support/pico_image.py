@@ -1,4 +1,4 @@
-"""The firmware of the Pico as its build makes it: bytes, symbols, words at addresses."""
+"""The firmware of the Pico from its build: bytes, symbols, words at addresses."""
 
 import atexit
 import re
@@ -70,7 +70,7 @@ def _block(raw: bytes) -> Block:
 
 @cache
 def symbols(defines: Defines = ()) -> dict[str, Symbol]:
-    """What the linked firmware names."""
+    """Return the symbols of the linked firmware."""
     words = ["arm-none-eabi-nm", "--print-size", str(built(defines) / "hapticd.elf")]
     text = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     found = {}
@@ -101,7 +101,7 @@ def program_words() -> tuple[int, ...]:
 
 
 def hello(defines: Defines = ()) -> HelloFrame:
-    """HELLO as it stands in the image, with what start-up fills in: a hash and a serial number."""
+    """Return HELLO of the image, with the fields of start-up: a hash and a serial number."""
     known = symbols(defines)
     (name,) = [one for one in known if re.fullmatch(r"config\.\d+", one)]
     words = words_at(known[name].address, HELLO_BYTES // 4, defines)

@@ -1,5 +1,5 @@
-"""The modules of node that the emulator of the chip runs on: installed once by the lock file of
-tests/acceptance/pico, which has their hashes, and kept under the hash of that file.
+"""The node modules for the emulator of the chip. They are installed once by the lock file of
+tests/acceptance/pico, which has their hashes, and cached under the hash of that file.
 """
 
 import hashlib
@@ -22,8 +22,8 @@ OLDEST_NODE = 18
 
 @cache
 def modules() -> Path:
-    """The folder that holds node_modules: $HAPTICD_NODE_MODULES, or one that is made by one process
-    at a time. AssertionError with the words of what failed.
+    """Return the folder with node_modules: $HAPTICD_NODE_MODULES, or one that a single process at a
+    time creates. AssertionError with the output of a failed command.
     """
     given = os.environ.get("HAPTICD_NODE_MODULES")
     if given:

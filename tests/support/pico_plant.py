@@ -1,8 +1,8 @@
 """The emulated board with a simulated device at its pins, in lock-step.
 
-The plant goes in the pieces of the simulated board, 62.5 us at 1 kHz, ahead of the chip under the
-outputs that are held: the chip gets the encoder's counts at the ends of the next pieces, and makes
-their edges. An output that changes acts from the next piece on; the plan is then made anew.
+The plant advances in the pieces of the simulated board, 62.5 us at 1 kHz, ahead of the chip under
+held outputs. The chip gets the encoder's counts at the ends of the next pieces, and makes their
+edges. A changed output acts from the next piece on, and the plan is computed again.
 
 Limitations: a plant whose encoder jumps farther in a piece than the decoder can follow.
 """
@@ -29,7 +29,7 @@ CONTROL_NS = 50 * NS_PER_MS
 
 
 class Rig:
-    """`chip` with the plant of `params`, or another one, at its pins."""
+    """`chip` with a plant at its pins: that of `params`, or `plant`."""
 
     def __init__(self, chip: PicoChip, params: BoardParams, plant: Any = None) -> None:
         self.chip = chip
@@ -98,7 +98,7 @@ class Rig:
 
     # --- the host's end ---------------------------------------------------------------------------
     def wait(self, number: int, patience_ns: float) -> Result:
-        """How a transfer ended; one that did not is taken back (ETIMEDOUT)."""
+        """Return how a transfer ended; cancel one that did not (ETIMEDOUT)."""
         results = self.chip.results
         self.advance(self.now_ns + patience_ns, lambda: number in results)
         if number in results:
@@ -115,8 +115,8 @@ class Rig:
         return bool(self.chip.state.connected)
 
     def plug(self) -> bool:
-        """What a hub and its driver do: wait for the pull-up, reset the bus, give an address.
-        Whether the board was found.
+        """Do the work of a hub and its driver: wait for the pull-up, reset the bus, assign an
+        address. Return whether the board was found.
         """
         self.advance(self.now_ns + ATTACH_NS, self.connected)
         if not self.connected():

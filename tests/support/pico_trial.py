@@ -1,9 +1,8 @@
 """A trial of the whole product in lock-step on the emulated board: servo, link and wire as in
-`assembly.lockstep`, the chip in the place of the simulated board, the display of fig. 7 at its
-pins.
+`assembly.lockstep`, the chip in place of the simulated board, the display of fig. 7 at its pins.
 
-The board measures no torque and no velocity, so a second instrument does: it shakes the display and
-takes interval means at 4 kHz, as a data acquisition beside the board would.
+The board measures no torque and no velocity, so a second instrument does. It shakes the display and
+records interval means at 4 kHz, like a separate data acquisition.
 """
 
 from collections.abc import Iterator
@@ -37,14 +36,14 @@ CHUNK_TICKS = 500
 
 
 class Display(NamedTuple):
-    """Servo and board of fig. 7, with a phase that the bus of a board can hold."""
+    """Servo and board of fig. 7, with a phase that the bus of a board can meet."""
 
     servo: ServoParams
     board: BoardParams
 
 
 def display() -> Display:
-    """The one that both kinds of board are given."""
+    """Return the display for both kinds of board."""
     servo, board = scene_params("fig7")
     relied_on = tuple(one for one in servo.device.relies_on if one not in LACKS)
     device = replace(servo.device, serial=UNIQUE_ID, relies_on=relied_on)
@@ -69,14 +68,14 @@ def scales_of(board: BoardParams) -> Defines:
 
 
 class Instrument:
-    """Shakes the plant of `rig` by `force_n` (samples,) [N] from the next interval on, and measures
-    what its probe would.
+    """Shake the plant of `rig` by `force_n` (samples,) [N] from the next interval on, and measure
+    the signals of its probe.
     """
 
     def __init__(self, rig: Rig, force_n: Floats) -> None:
         self._rig = rig
         self._force_n = force_n
-        self._first = (rig.piece // PIECES + 8) * PIECES  # beyond what is planned
+        self._first = (rig.piece // PIECES + 8) * PIECES  # beyond the plan
         self._begin: tuple[float, float] | None = None
         self.force: list[float] = []
         self.velocity: list[float] = []
@@ -105,7 +104,9 @@ class Instrument:
 
 @contextmanager
 def chip_in_lock_step(shown: Display) -> Iterator[tuple[LockStepClient, Rig]]:
-    """A bench whose board is the chip; AssertionError at the end if that has complained."""
+    """Yield a bench with the chip as its board; AssertionError at the end if the chip
+    complained.
+    """
     rig = Rig(start_chip(image(scales_of(shown.board))), replace(shown.board, lacks=LACKS))
 
     def backend(_board: BoardParams, clock: Clock) -> PicoBackend:

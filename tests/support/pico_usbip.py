@@ -1,8 +1,8 @@
-"""The emulated board at a true kernel: what `hapticd.sim.usbip.UsbipServer` asks of a device.
+"""The emulated board for a real kernel: the device interface of `hapticd.sim.usbip.UsbipServer`.
 
-The chip follows the machine's clock. Where it is slower its time falls behind, and what is more
-than MOST_BEHIND_NS is let go: a watchdog of the board then sees less silence than there was. So
-tests of this assert what happens, not when.
+The chip follows the machine's clock. If it is slower, its time falls behind, and the part above
+MOST_BEHIND_NS is dropped. A watchdog of the board then measures less silence than there was. Tests
+therefore assert events, not times.
 
 `python -m support.pico_usbip IMAGE` serves one board at any free port and prints its address. A
 line `hang` at stdin stops the board's processor; the end of stdin ends the server.
@@ -24,7 +24,7 @@ from support.pico_firmware import pico_params, start_chip
 from support.pico_plant import Rig
 
 MOST_BEHIND_NS = 2 * NS_PER_MS
-OUT_NS = 5 * NS_PER_MS  # within which an OUT has to be taken
+OUT_NS = 5 * NS_PER_MS  # deadline for the acceptance of an OUT
 CONTROL_NS = 200 * NS_PER_MS
 POLL_NS = 50 * NS_PER_US
 SET_CONFIGURATION = (0, 9)
@@ -37,7 +37,7 @@ class PicoUsb:
         self._make_chip = make_chip
         self.rig: Rig | None = None
         self.configuration = 0
-        self.hang = threading.Event()  # set by another thread: the pipes belong to the server's
+        self.hang = threading.Event()  # set by another thread: only the server uses the pipes
 
     def close(self) -> None:
         """End the chip's process."""
@@ -103,7 +103,7 @@ class PicoUsb:
         return self.rig
 
     def _ended(self, status: int, data: bytes) -> bytes:
-        """What came, or why nothing did."""
+        """Return the received data, or raise the reason for a failure."""
         if status == -errno.ESHUTDOWN:
             raise TransferFault(errno.EPROTO, 0.0)
         if status:

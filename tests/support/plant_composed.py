@@ -1,5 +1,5 @@
-"""The composed device as straight-line Python: the same motion as the model's own maps, and
-nothing that it does not have.
+"""The composed device as straight-line Python: the same motion as the model's own maps, without
+effects that the model does not have.
 """
 
 from hapticd.model.discrete import discretise

@@ -47,7 +47,7 @@ def weir_device(*names: str, **changed: Effect) -> Model:
 
 
 def alpha(level_ns_per_m: float, residual_ohm: float, torque_constant_n_per_a: float) -> float:
-    """DC gain of command and damping with `residual_ohm` left uncompensated: 1 / (1 + g dR /
+    """Return the DC gain of command and damping with `residual_ohm` uncompensated: 1 / (1 + g dR /
     K^2).
     """
     return 1.0 / (1.0 + level_ns_per_m * residual_ohm / torque_constant_n_per_a**2)

@@ -1,6 +1,6 @@
-"""A processor on which a tick takes its time, on virtual time: a slow machine anywhere.
+"""A processor on which a tick takes time, on virtual time: a model of a slow machine.
 
-The loop reads its clock once behind each stage, so the cost of a stage passes at that reading. A
+The loop reads its clock once after each stage, so the cost of a stage passes at that reading. A
 stage takes nine tenths of its cost and an exponential rest.
 """
 
@@ -15,7 +15,7 @@ from hapticd.run.lockstep import LockStep
 # of an enabled tick without a bus, CPython 3.11 without profile-guided optimisation, Zen 3 [ns]
 COSTS_NS = {"read": 3000, "step": 9000, "write": 2000, "publish": 4000}
 TICK_US = sum(COSTS_NS.values()) / 1000.0
-FIXED = 0.9  # share of a cost that never varies
+FIXED = 0.9  # constant share of a cost
 
 
 class Processor(Clock):

@@ -1,8 +1,9 @@
-"""Pytest plugin: the processor time of each test, its children's included, in build/test-times.tsv.
+"""Pytest plugin: the processor time of each test, with its child processes, in
+build/test-times.tsv.
 
     python -m pytest -p support.processor_time tests/unit      (on one core: no --numprocesses)
 
-A test belongs to a tier by this time (CONTRIBUTING.md), which depends less on the other work of the
+This time determines the tier of a test (CONTRIBUTING.md); it depends less on the load of the
 machine than the wall clock. `python -m support.processor_time`, in tests/, prints the table of
 tests/durations.md from it.
 """

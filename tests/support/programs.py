@@ -1,7 +1,7 @@
 """Programs of the system that tests run.
 
-`make test` installs them where it may. Where it may not, their tests are skipped and say what
-installs them; `.ci/run` takes no skipped test (conftest.py).
+`make test` installs them if it may. Otherwise their tests are skipped and name the package to
+install; `.ci/run` accepts no skipped test (conftest.py).
 """
 
 import atexit
@@ -27,7 +27,7 @@ def program(name: str) -> str:
 
 
 def compiler() -> list[str]:
-    """Command of the C compiler: $CC, else cc, else gcc; or the test is skipped."""
+    """Return the command of the C compiler: $CC, else cc, else gcc; or skip the test."""
     for command in (os.environ.get("CC", ""), "cc", "gcc"):
         words = shlex.split(command)
         if words and shutil.which(words[0]):

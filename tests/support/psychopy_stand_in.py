@@ -1,5 +1,5 @@
-"""What docs/psychopy.md uses of PsychoPy, with its signatures: no window, and keys that a script
-presses.
+"""The part of PsychoPy that docs/psychopy.md uses, with its signatures: no window, and keys pressed
+by a script.
 """
 
 import time
@@ -20,7 +20,7 @@ class Clock:
 
 
 class Window:
-    """Keeps what was on the screen at each flip."""
+    """Records the contents of the screen at each flip."""
 
     def __init__(self, size: tuple[int, int] = (800, 600), fullscr: bool = False) -> None:
         self.drawn: list[str] = []
@@ -47,7 +47,7 @@ class TextStim:
 
 
 def modules(press: Callable[[list[str]], str]) -> dict[str, ModuleType]:
-    """`psychopy` and what is imported from it; `press` chooses among the keys that are awaited."""
+    """Return `psychopy` and its imported modules; `press` chooses among the awaited keys."""
 
     def wait_keys(
         maxWait: float = float("inf"),

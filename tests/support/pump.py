@@ -1,5 +1,5 @@
 """A hand on a servo in the air: one mass that the force of each tick moves exactly, for tests of
-what changes of parameters bring in.
+the energy that changes of parameters add.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ T = 1e-3
 
 
 class HeldFlight(Flight):
-    """A flight whose encoder follows a mass [kg] with damping [N s/m]; the force of a tick is in
+    """A flight whose encoder follows a mass [kg] with damping [N s/m]. The force of a tick is in
     effect from its sample to the next.
     """
 
@@ -25,7 +25,7 @@ class HeldFlight(Flight):
         self.velocity_m_per_s = 0.0
         rate = damping_ns_per_m / mass_kg
         self._kept = np.exp(-rate * T)
-        self._way = (1.0 - self._kept) / rate if rate else T  # of the velocity, in a tick
+        self._way = (1.0 - self._kept) / rate if rate else T  # distance in a tick per velocity
         self._mass_kg = mass_kg
         self._damping = damping_ns_per_m
         self.positions: list[float] = []
@@ -57,8 +57,8 @@ class HeldFlight(Flight):
 
 
 def toggled(flight: HeldFlight, cycles: int) -> list[float]:
-    """Energy [J] of the hand at each end of so many cycles of 220 ms, K up to 380 and down to 40
-    N/m by ramps of 50 ms.
+    """Return the energy [J] of the hand at each end of `cycles` of 220 ms: K up to 380 and down to
+    40 N/m by ramps of 50 ms.
     """
     found = []
     for _ in range(cycles):

@@ -1,4 +1,4 @@
-"""A peer that speaks ZMTP by hand, so that it may do what no library does."""
+"""A peer that speaks ZMTP by hand, so that it can violate the protocol as no library does."""
 
 import contextlib
 import socket
@@ -25,7 +25,7 @@ PING = short(b"\4PING\0\0hi", 4)
 
 
 class RawPeer:
-    """Connected to `endpoint`, introduced as a socket of `kind`; nothing that it sends blocks."""
+    """A socket of `kind`, connected to `endpoint`; its sends never block."""
 
     def __init__(
         self, rig: GatewayRig, endpoint: str, kind: bytes = b"DEALER", introduced: bool = True
@@ -47,7 +47,9 @@ class RawPeer:
         self.socket.close()
 
     def send(self, data: bytes) -> int:
-        """Send what the kernel takes of `data`; how many bytes. The gateway does not run."""
+        """Send the part of `data` that the kernel accepts; return its length. The gateway does not
+        run.
+        """
         sent = 0
         with contextlib.suppress(BlockingIOError):
             while sent < len(data):
@@ -55,7 +57,7 @@ class RawPeer:
         return sent
 
     def read(self) -> bytes | None:
-        """What has come; None once the gateway has ended the connection."""
+        """Return the received data; None once the gateway has closed the connection."""
         try:
             return self.socket.recv(1 << 20) or None
         except BlockingIOError:

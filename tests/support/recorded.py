@@ -1,5 +1,5 @@
-"""The whole stack in lock-step with the gateway's publisher beside it: every message that a
-recorder would have got.
+"""The whole stack in lock-step with the gateway's publisher: every message that a recorder would
+receive.
 """
 
 from collections.abc import Generator, Sequence
@@ -37,7 +37,7 @@ AT_ONCE = 20
 
 
 class RecordedFlight:
-    """A servo in the air and what is published of it. Use it as a context manager."""
+    """A servo in the air and its published messages. Use as a context manager."""
 
     def __init__(
         self,
@@ -84,13 +84,13 @@ class RecordedFlight:
         self.publisher.flight.close()
 
     def fly(self, ticks: int) -> None:
-        """Let ticks pass; the gateway looks every 20."""
+        """Run `ticks`; the gateway polls every 20."""
         for _ in range(0, ticks, AT_ONCE):
             self.stack.run(AT_ONCE)
             self.look()
 
     def look(self) -> None:
-        """One look of the gateway."""
+        """Run one poll of the gateway."""
         now_ns = self.stack.clock.now_ns()
         self.view.refresh(now_ns)
         self.guard.tend(now_ns)
@@ -119,7 +119,7 @@ class RecordedFlight:
         return as_records(b"".join(self.stack.blocks))
 
     def leg(self) -> replay.Segment:
-        """From the first checkpoint that the servo left to the end."""
+        """Return the segment from the first checkpoint of the servo to the end."""
         checkpoint = self.publisher.flight._checkpoints[0]
         requests, _, lost = self.stack.gateway.journal(0)
         assert lost == 0
@@ -133,9 +133,7 @@ class RecordedFlight:
 
 
 class Source:
-    """Stands for hapticd.client.Client: plays `messages`, then nothing comes any more; each
-    look takes `look_ms`.
-    """
+    """Replaces hapticd.client.Client: plays `messages` once; each poll takes `look_ms`."""
 
     def __init__(self, flight: RecordedFlight, clock: VirtualClock, look_ms: int = 20) -> None:
         self.played = list(flight.messages)

@@ -13,7 +13,7 @@ from support.gateway_rig import PATIENCE, GatewayRig
 
 
 class RelayRig(GatewayRig):
-    """A gateway that listens at every address, with keys, and one listener that it knows."""
+    """A gateway that listens at every address, with keys, and one registered listener."""
 
     def __init__(self, folder: Path) -> None:
         self.keys = folder / "keys"
@@ -24,7 +24,7 @@ class RelayRig(GatewayRig):
         self.until(lambda: self.outside()["relay"] == "up")
 
     def know(self, name: str) -> None:
-        """Make a pair for `name` and let it in."""
+        """Create a key pair for `name` and register it."""
         assert main(["keys", "client", str(self.keys), name, "--out", str(self.away)]) == 0
 
     @property
@@ -53,7 +53,7 @@ class RelayRig(GatewayRig):
         return [event for event in self.gateway._journal.recent if event["kind"] == "warning"]
 
     def until(self, true: Callable[[], Any]) -> Any:
-        """Go on until `true()` is; what it is then."""
+        """Run until `true()` is true; return its value."""
         for _ in range(PATIENCE):
             if found := true():
                 return found

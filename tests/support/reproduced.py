@@ -17,7 +17,7 @@ def by_prediction() -> ReproduceResult:
 
 @cache
 def future_work_by_prediction() -> FutureWorkResult:
-    """What goes beyond the paper, with fewer corners and levels."""
+    """Return the future work beyond the paper, with fewer corners and levels."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(future_work, "HIGHPASS_HZ", (2.0, 10.0, 50.0))
         patch.setattr(future_work, "LOWPASS_HZ", (20.0, 200.0))

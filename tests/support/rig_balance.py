@@ -1,4 +1,6 @@
-"""The balance of forces: its closed forms, and made-up records of a handle whose truth is known."""
+"""The balance of forces: its closed forms, and synthetic records of a handle with known
+parameters.
+"""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
-"""`rig damping`: the balance of momentum against closed forms, intervals, and a board whose damping
-is another than its device file's.
+"""`rig damping`: the balance of momentum compared with closed forms, intervals, and a board whose
+damping differs from its device file.
 """
 
 from hapticd.core.params import TouchParams
@@ -14,7 +14,7 @@ TRUTH = {"gain": 1.13, "loop": 0.03, "physical": 0.36, "friction": 0.03, "gravit
 
 
 def nothing(request):
-    """Nobody is there who would do what is asked."""
+    """Ignore the request: no person is present."""
 
 
 def device(loop_limit=10.0, half=None):
@@ -30,7 +30,7 @@ def device(loop_limit=10.0, half=None):
 
 
 def made_up(random, current, gain=TRUTH["gain"], loop=TRUTH["loop"]):
-    """Rows as a step makes them, with errors in time and force."""
+    """Return rows as a step makes them, with errors in time and force."""
     rows = []
     for level in (0.0, 0.0, 0.3125, 0.625, 1.25, 2.5, 5.0, 10.0):
         for seconds, way in ((0.05, 4e-3), (0.3, 1.5e-3)):

@@ -1,5 +1,5 @@
-"""A hand at a simulated rig whose truth is another than its device file's: it moves the handle, and
-hangs masses from it. Steps see a client alone; the truth stays here.
+"""A hand at a simulated rig whose parameters differ from its device file: it moves the handle and
+hangs masses on it. Steps have only a client; the true parameters stay here.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ STEP_M = 2e-5  # that a hand moves in a tick: 0.02 m/s
 
 
 class Hand:
-    """`bench` and what is done at its handle. `pull_n` acts on it all the time."""
+    """`bench` and the actions at its handle. `pull_n` acts on it all the time."""
 
     def __init__(self, device: dict[str, Any] | None = None, **board: Any) -> None:
         servo = servo_params(device=device_params(**device or {}))
@@ -26,7 +26,7 @@ class Hand:
         self.axis = simulated._axis
         self.life = simulated._life
         self.pull_n = 0.0
-        self.gain = 1.0  # of the motor, whatever the board's hello says
+        self.gain = 1.0  # of the motor, independent of the board's hello
         self.offset_n = 0.0  # of the motor, at a count of 0
         self.reflex_n = 0.0  # of a hand that pushes whenever the motor does
         self.held_m: float | None = None
@@ -53,18 +53,18 @@ class Hand:
         return float(self.axis.plant.encoder(self.axis.state, 0.0, 0.0))
 
     def hold(self, at_m: float) -> None:
-        """Take the handle there, slowly, and hold it."""
+        """Move the handle to `at_m`, slowly, and hold it."""
         self.held_m = self.position_m
         while abs(at_m - self.held_m) > 1e-9:
             self.held_m += max(-STEP_M, min(STEP_M, at_m - self.held_m))
             self.bench.run(1)
 
     def let_go(self) -> None:
-        """Nothing but gravity and motor acts."""
+        """Release the handle; only gravity and motor act."""
         self.held_m = None
 
     def ask(self, request: Request) -> None:
-        """What a step asks for, as far as it is to fix a mass to the handle and to take it off."""
+        """Fulfil a request to fix a mass to the handle or to remove it."""
         if request.action in ("attach", "let go"):
             mass_kg = self._params.mass_kg + request.amount
             self.free = make_plant(replace(self._params, mass_kg=mass_kg))

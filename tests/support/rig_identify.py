@@ -1,4 +1,4 @@
-"""`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
+"""`rig identify` on simulated boards whose mass, friction and delay are hidden from the step."""
 
 from hapticd.core.params import TouchParams
 from hapticd.run.lockstep_client import LockStepClient
@@ -12,7 +12,7 @@ COULOMB_N = 0.045
 
 
 def nothing(request):
-    """Nobody is there who would do what is asked."""
+    """Ignore the request: no person is present."""
 
 
 def bench(device=None, **board):

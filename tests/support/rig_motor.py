@@ -1,4 +1,4 @@
-"""`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
+"""`rig motor` on a board whose true sign, gain and offset differ from its device file."""
 
 from hapticd.core.params import TouchParams
 from hapticd.rig.steps.motor import (
@@ -11,4 +11,4 @@ HUNG = Masses((0.0, 0.025, 0.05, 0.075, 0.1))
 
 
 def nothing(request):
-    """Nobody is there who would do what is asked."""
+    """Ignore the request: no person is present."""

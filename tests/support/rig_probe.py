@@ -19,9 +19,9 @@ MASS = AttachedMass(0.02)
 
 
 def motion(mass_kg, seed, gain=N, velocity_gain=N, delay=0.7, n_per_m=math.inf):
-    """4 s of a mass with viscous and Coulomb friction under about the played force, as both streams
-    tell it: the motion is given, and the force is what it takes. 3 g of it turn with the probe,
-    behind a transmission of `n_per_m`.
+    """Return 4 s of a mass with viscous and Coulomb friction under about the played force, as both
+    streams record it. The motion is given, and the force follows from it. 3 g of it turn with the
+    probe, behind a transmission of `n_per_m`.
     """
     random = np.random.default_rng(seed)
     at = np.arange(16_000.0)

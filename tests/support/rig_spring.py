@@ -1,4 +1,4 @@
-"""`rig motor --spring` and `--offset` at rigs whose gain and offset are others than the file's."""
+"""`rig motor --spring` and `--offset` at rigs whose gain and offset differ from the device file."""
 
 from hapticd.rig.steps.spring import Spring
 

@@ -1,4 +1,4 @@
-"""`rig verify`: known parts as the probe sees them, and the certificate."""
+"""`rig verify`: known parts measured by the probe, and the certificate."""
 
 from hapticd.cli.app import main
 from hapticd.core.params import ScaleParams, TouchParams
@@ -10,7 +10,7 @@ SHORT = KnownParts(seconds=6.0)
 
 
 def nothing(request):
-    """Whatever is asked of a person is done already."""
+    """Ignore the request: it is already fulfilled."""
 
 
 def verified(config, *more):

@@ -1,4 +1,4 @@
-"""`rig motor --winding`: force per ampere, ohm and back-EMF of rigs that the step does not know."""
+"""`rig motor --winding`: force per ampere, ohm and back-EMF of rigs with hidden parameters."""
 
 import numpy as np
 

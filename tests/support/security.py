@@ -1,4 +1,4 @@
-"""What SECURITY.md says of the code: nothing that is read is run, and commands have no network
+"""The promises of SECURITY.md about the code: no input is executed, and commands have no network
 address.
 """
 
@@ -12,7 +12,7 @@ PACKAGE = ROOT / "hapticd"
 
 @cache
 def sources() -> dict[str, list[ast.AST]]:
-    """What every module of the package is made of, by its place in it."""
+    """Return the syntax nodes of every module of the package, by its path."""
     paths = sorted(PACKAGE.rglob("*.py"))
     return {
         path.relative_to(PACKAGE).as_posix(): list(ast.walk(ast.parse(path.read_text())))
@@ -21,5 +21,5 @@ def sources() -> dict[str, list[ast.AST]]:
 
 
 def called(node: ast.Call) -> str:
-    """The last word of what is called."""
+    """Return the last word of the called name."""
     return getattr(node.func, "attr", "") or getattr(node.func, "id", "")

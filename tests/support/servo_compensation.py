@@ -1,5 +1,5 @@
-"""The compensation of the winding's resistance follows it from below, whatever sensor, current and
-board do. The winding itself is integrated here, by its differential equation alone.
+"""The compensation follows the resistance of the winding from below, for any sensor, current and
+board. The test integrates the winding itself, by its differential equation only.
 """
 
 from dataclasses import replace
@@ -31,7 +31,7 @@ def copper(celsius: float) -> float:
 
 
 class Warm:
-    """A winding and its looks, without the ticks between them."""
+    """A winding and its updates, without the ticks between them."""
 
     def __init__(self, servo, ohm_k_per_w=8.0, tau_s=10.0, ambient_c=20.0):
         self.servo = servo
@@ -39,12 +39,12 @@ class Warm:
         self.celsius = ambient_c
         self.numbers = (ohm_k_per_w, tau_s, ambient_c)
         self.tick = 0
-        self.least = 1e9  # ohm that was left uncompensated
+        self.least = 1e9  # least uncompensated ohm
         self.nearest = 1e9  # loop gain
 
     def look(self, ampere, sensor_c=None, host=ABLE, arrival=0, held_n=0.0, status=1):
-        """One look at the sensor (None: honest; not connected: 130 degC), with that current since
-        the last one.
+        """Update once from the sensor (None: honest; not connected: 130 degC), with that current
+        since the last update.
         """
         due = self.plan.winding.due_tick
         r_th, tau_s, ambient_c = self.numbers

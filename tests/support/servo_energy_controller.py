@@ -1,7 +1,7 @@
-"""What leaks is ended by damping and by less stiffness, in time and only then.
+"""Damping and a lower stiffness end a leak of energy, in time and only then.
 
 The balance is that of the simulated motor: work on the device + change of stored energy - credited
-damping x int v^2 dt - what changes brought in.
+damping x int v^2 dt - energy added by changes.
 """
 
 import math
@@ -33,7 +33,9 @@ def flight(on=True, hand=HANDS["bare"], delay=0.125, lag_hz=0.0, damps=True, **d
 
 
 def passive_limit(delay, lag_hz):
-    """Stiffness [N/m] that the device's true damping makes passive at low frequencies."""
+    """Return the stiffness [N/m] up to which the device's true damping is passive at low
+    frequencies.
+    """
     return DEVICE_NS_PER_M / (T * (0.5 + delay) + (1.0 / (math.tau * lag_hz) if lag_hz else 0.0))
 
 

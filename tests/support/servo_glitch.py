@@ -1,11 +1,13 @@
-"""One bad encoder sample moves less than 1 N; a struck handle is no glitch; a burst is a fault."""
+"""One bad encoder sample moves less than 1 N; a struck handle is not a glitch; a burst
+is a fault.
+"""
 
 from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Value
 from support.models import device_params, servo_params
 
 FELT = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
-LIMIT = 500.0  # m/s^2, as a device file has it unless it says otherwise
+LIMIT = 500.0  # m/s^2, the default of a device file
 SPEED = 5.0  # m/s
 
 

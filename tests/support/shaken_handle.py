@@ -1,6 +1,5 @@
-"""A handle with friction that is shaken, rigid or with a mass on a spring, in steps of 15.6 us: an
-independent reference for what `force_balance` solves, with nothing of the product in it but the
-form of its record.
+"""A shaken handle with friction, rigid or with a mass on a spring, in steps of 15.6 us: an
+independent reference for `force_balance`. It uses only the record format of the product.
 """
 
 from dataclasses import dataclass
@@ -62,7 +61,7 @@ def _moved(torque, stiffness, damping, numbers, delay_steps):
     sliding = 0.0
     force = 0.0
     keep = np.exp(-STEP_S / smoothing_s) if smoothing_s > 0.0 else 0.0
-    mean = smoothing_s / STEP_S * (1.0 - keep)  # over a step, of what is kept
+    mean = smoothing_s / STEP_S * (1.0 - keep)  # mean of the decaying part over a step
     for n in range(samples * PER_SAMPLE):
         if n % PER_TICK == 0:
             k = n // PER_TICK
@@ -93,7 +92,7 @@ def _moved(torque, stiffness, damping, numbers, delay_steps):
 
 
 def shaken(truth: Truth, torque_n, stiffness: float, damping: float, seed: int) -> PerturbationRun:
-    """What is recorded of the handle under `torque_n` (n,) and a spring with a damper."""
+    """Return the record of the handle under `torque_n` (n,) and a spring with a damper."""
     numbers = (
         truth.mass_kg,
         truth.viscous_ns_per_m,

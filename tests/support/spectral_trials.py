@@ -1,4 +1,4 @@
-"""Trials whose impedance is known: spectra made to measure, and records of a linear device
+"""Trials with a known impedance: constructed spectra, and records of a linear device
 under noise.
 """
 
@@ -16,7 +16,7 @@ def exact_trial(
 ) -> Spectra:
     """Spectra without error of a device of `impedance(f)`, on the grid of the window."""
     f = np.arange(lag + 1) * (0.5 * RATE_HZ / lag)
-    z = impedance(np.maximum(f, f[1]))  # a window knows no pole at 0 Hz
+    z = impedance(np.maximum(f, f[1]))  # a window excludes the pole at 0 Hz
     force = np.full(f.size, 0.5 * force_psd * RATE_HZ)
     cross = force / z.conj()
     return Spectra(
@@ -50,12 +50,12 @@ def mass_damper(mass_kg=0.008, damping=1.0, stiffness=0.0):
 
 
 def with_phase_margin(degrees: float, mass_kg=0.008):
-    """Z(f) of a mass whose phase is 90 - `degrees` everywhere."""
+    """Return Z(f) of a mass whose phase is 90 - `degrees` everywhere."""
     return lambda f: 2.0 * np.pi * f * mass_kg * np.exp(1j * np.radians(90.0 - degrees))
 
 
 def beside_mode(device, mass_kg: float, frequency_hz: float, quality: float):
-    """Z(f) of `device` with a mass on a spring of its own, which resonates at that frequency."""
+    """Return Z(f) of `device` with an added mass on a spring, which resonates at that frequency."""
     rate = 2.0 * np.pi * frequency_hz
 
     def impedance(f):

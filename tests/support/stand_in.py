@@ -8,7 +8,7 @@ from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
 
 
 class StandIn(Executor):
-    """Asks `flying` for the outcomes of trials, at once; does all else that it is given."""
+    """Gets the outcomes of trials from `flying` at once; runs all other tasks directly."""
 
     def __init__(self, flying: Callable[[Conditions, float, Any], list[Outcome]]) -> None:
         self._flying = flying

@@ -1,8 +1,8 @@
-"""The engine's yardstick: the same model played step by step in numpy's long double, in the model's
+"""The reference for the engine: the same model, step by step in numpy's long double, in the model's
 own coordinates.
 
-Nothing is shared with the engine but the law and the definition of a tick: own matrix exponential,
-own order of sums, friction from `model.friction`, one trial at a time.
+It shares with the engine only the law and the definition of a tick. It has its own matrix
+exponential and order of sums, friction from `model.friction`, and runs one trial at a time.
 """
 
 from math import floor, pi, sin
@@ -48,7 +48,9 @@ def quantised(value, quantum):
 
 
 def held_force(drive, free, x, duration_s):
-    """The motor force after a step: that of `free`, inside what current and voltage reach."""
+    """Return the motor force after a step: that of `free`, within the reach of current
+    and voltage.
+    """
     kept = np.exp(-EXACT(drive.electrical_rad_s) * duration_s)
     stalled = EXACT(drive.stall_n)
     back = drive.shorted_ns_per_m * x[drive.velocity]

@@ -1,4 +1,4 @@
-"""What accuracy costs: the knee, both comparisons against closed forms, and trials in lock-step."""
+"""The cost of accuracy: the knee, both comparisons with closed forms, and trials in lock-step."""
 
 from math import nan
 

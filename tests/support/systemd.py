@@ -1,5 +1,5 @@
-"""The units, as systemd's own tools judge them; the promises they make; what the processes tell
-systemd.
+"""The units as systemd's own tools judge them, the promises they make, and the notifications of the
+processes to systemd.
 """
 
 import socket
@@ -8,7 +8,7 @@ import struct
 DEADLINE_S = 60.0
 
 
-# --- what systemd hears ---------------------------------------------------------------------------
+# --- notifications to systemd ---------------------------------------------------------------------
 
 
 class Service:

@@ -1,8 +1,8 @@
 """A Linux kernel with a USB stack that runs as an ordinary process: user-mode Linux, built from the
-kernel source of this machine's distribution and kept by version and configuration.
+kernel source of this machine's distribution and cached by version and configuration.
 
 The distribution's own user-mode kernel has no USB. The build takes two to three minutes on two
-cores; what is kept is one static program of a few megabytes.
+cores; the cached result is one static program of a few megabytes.
 """
 
 import hashlib
@@ -17,9 +17,9 @@ from support.kept import alone, cache_folder
 CONFIG = Path(__file__).with_name("usb_guest") / "kernel.config"
 SOURCES = Path("/usr/src")
 PACKAGE = "linux-source"  # `.ci/deps test` installs it
-NOT_UNPACKED = "drivers/gpu/drm/amd/include"  # 0.4 of 1.3 GB, and nothing asks for it
-# 6.1 gives the registers of ptrace 2696 bytes; a processor with AMX has 11008, and the kernel of
-# the machine refuses less than it has ("ptrace set fp regs failed, errno = 14")
+NOT_UNPACKED = "drivers/gpu/drm/amd/include"  # 0.4 of 1.3 GB, not used
+# 6.1 reserves 2696 bytes for the registers of ptrace; a processor with AMX has 11008, and the
+# kernel of the machine refuses less than that ("ptrace set fp regs failed, errno = 14")
 REGISTERS = Path("arch/x86/um/user-offsets.c")
 TOO_FEW = "DEFINE_LONGS(HOST_FP_SIZE, 2696)"
 ENOUGH = "DEFINE_LONGS(HOST_FP_SIZE, 16384)"
@@ -27,8 +27,8 @@ JOBS = 2
 
 
 def kernel() -> Path:
-    """The kernel, built if it is not there, by one process at a time. AssertionError with the words
-    of what failed.
+    """Return the kernel; build it if it is missing, in one process at a time. AssertionError with
+    the output of a failed command.
     """
     source = _source()
     folder = cache_folder() / f"uml-{source.name.removesuffix('.tar.xz')}-{_key(source)}"
@@ -56,7 +56,9 @@ def _version(source: Path) -> tuple[int, ...]:
 
 
 def _key(source: Path) -> str:
-    """Of the source package's bytes, which change with every release, and of what is built."""
+    """Return the key of the source package's bytes, which change with every release, and of the
+    build.
+    """
     digest = hashlib.sha256(f"{source.name} {source.stat().st_size} {ENOUGH}".encode())
     digest.update(CONFIG.read_bytes())
     return digest.hexdigest()[:12]

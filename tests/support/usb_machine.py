@@ -1,9 +1,9 @@
-"""Runs a job in the user-mode kernel, on this machine's own root file system, which it cannot
-write to: same Python, same libraries, another kernel.
+"""Runs a job in the user-mode kernel, on this machine's own root file system, read-only: same
+Python, same libraries, another kernel.
 
-What the job said and how it ended is read from the console, where the guest's first process writes
-one line of its own at the end: the kernel itself ends with 0 whatever happened. Its processes are a
-session, and whatever is left of it is killed.
+The output of the job and its exit code are read from the console, where the guest's first process
+writes one line at the end; the kernel itself always ends with 0. Its processes are one session, and
+the remaining ones are killed.
 """
 
 import os
@@ -27,7 +27,7 @@ END = re.compile(r"^GUEST-END (\d+)\r?$", re.MULTILINE)
 class Outcome(NamedTuple):
     """How a job ended."""
 
-    code: int | None  # of the job; None: the guest never said
+    code: int | None  # of the job; None: not reported by the guest
     text: str  # all of its console
 
 
@@ -58,7 +58,7 @@ def _command(kernel: Path, script: Path) -> list[str]:
 
 
 def _console(command: list[str], limit_s: float) -> str:
-    """What was said until the end, or until `limit_s` had passed."""
+    """Return the output up to the end, or of the first `limit_s`."""
     guest = subprocess.Popen(
         command,
         env={**os.environ, "TMPDIR": _memory_folder(), "GLIBC_TUNABLES": "glibc.pthread.rseq=0"},
@@ -78,9 +78,9 @@ def _console(command: list[str], limit_s: float) -> str:
 
 
 def _settle() -> None:
-    """In the guest's process, before it begins. It has one processor: on several cores its
-    processes would wake each other across them. And it comes before what else the machine does,
-    where that may be asked for: its transfers have time-outs.
+    """Runs in the guest's process, before it begins. It has one processor: on several cores its
+    processes would wake each other across them. It also gets a higher priority than other programs
+    where permitted, because its transfers have time-outs.
     """
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     with suppress(OSError):
@@ -95,7 +95,7 @@ def _memory_folder() -> str:
 
 
 def _end(guest: "subprocess.Popen[bytes]") -> None:
-    """Kill what is left of the guest: it is a session of its own, of several process groups."""
+    """Kill the remaining processes of the guest: a session with several process groups."""
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             pid, _, fields = stat.read_text().partition(" (")

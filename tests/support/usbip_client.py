@@ -1,5 +1,5 @@
-"""The other end of a USB/IP connection, as the kernel's driver speaks it, written from the
-kernel's usbip_protocol.rst alone.
+"""The client end of a USB/IP connection, as the kernel's driver speaks it, written from the
+kernel's usbip_protocol.rst only.
 """
 
 import socket
@@ -70,14 +70,14 @@ class Client:
         return self.number
 
     def unlink(self, victim: int) -> int:
-        """Take a transfer back; the number of that."""
+        """Unlink a transfer; return the number of the request."""
         self.number += 1
         head = struct.pack(">5I", 2, self.number, 0x00010002, 0, 0)
         self.connection.sendall(head + struct.pack(">I24x", victim))
         return self.number
 
     def answer(self) -> Answer:
-        """The next one. EOFError when the board has left."""
+        """Return the next answer. EOFError when the board has left."""
         head = exactly(self.connection, 48)
         command, number, _device, _direction, _endpoint, status, length = struct.unpack_from(
             ">5Iii", head
@@ -86,7 +86,7 @@ class Client:
         return Answer(command, number, status, exactly(self.connection, length) if carries else b"")
 
     def control(self, request_type: int, request: int, value: int, index: int, room: int) -> Answer:
-        """A control transfer without data of its own, to its end."""
+        """Run a control transfer without data to its end."""
         setup = struct.pack("<BBHHH", request_type, request, value, index, room)
         self.submit(0, bool(request_type & 0x80), room=room, setup=setup)
         return self.answer()

@@ -1,23 +1,24 @@
-"""A second opinion on stability: one tick of display, hand and law as one matrix, and its radius.
+"""An independent test of stability: one tick of display, hand and law as one matrix, and its
+radius.
 
-Written from the physics alone, without the package's own analysis, so that what the guard lets
-pass is judged by somebody else:
+Written from the physics, without the package's own analysis, so that the guard is judged
+independently:
 
     rotor      m_r v_r' = F_a - b_r v_r - c (v_r - v_s) - k (x_r - x_s) + hand
-    slider     m_s v_s' = c (v_r - v_s) + k (x_r - x_s) - b_s v_s        the encoder sits here
+    slider     m_s v_s' = c (v_r - v_s) + k (x_r - x_s) - b_s v_s        the encoder is here
     smoothing  F_r' = w_r (F_cmd - F_r)
     amplifier  F_a' = w_a (F_r - g e - F_a)            g: level of active damping, gain included
     estimate   e'   = w_e (v_r + rho F_a - e)          rho: resistance that is not compensated
     hand       masses, springs and dampers between nodes; node 0 is the rotor
 
-Parts that a display does not have are left out: one mass alone has two states. Over a tick the
-command is the one from `whole` + 1 ticks ago until `part` T, and from then on the one from `whole`
-ticks ago, delay = whole + part; both stretches are solved exactly, by the matrix exponential of
-Higham (2005), for many levels of damping at a time.
-The law is written as the difference equations of its text, with histories of positions, filtered
-velocities and filtered accelerations (direct form I; the package keeps another state).
+Parts that a display does not have are omitted: one mass alone has two states. In a tick the command
+is the one from `whole` + 1 ticks ago until `part` T, and then the one from `whole` ticks ago, where
+delay = whole + part. Both intervals are solved exactly, by the matrix exponential of Higham (2005),
+for many levels of damping at a time. The law is written as the difference equations of its text,
+with histories of positions, filtered velocities and filtered accelerations (direct form I; the
+package keeps another state).
 
-The law must render the whole force (no limit, no wall that is left).
+Limitations: the law must render the whole force (no limit, and no wall that the handle leaves).
 """
 
 from dataclasses import dataclass
@@ -27,12 +28,12 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 BUTTERWORTH = 0.5**0.5
-SETTLED = 1.0 + 1e-8  # rounding of modes that neither grow nor die out
-POSITIONS = 4  # of the past, that the second difference's filter looks back on
+SETTLED = 1.0 + 1e-8  # rounding of modes that neither grow nor decay
+POSITIONS = 4  # past positions that the filter of the second difference uses
 
 
 class Point(NamedTuple):
-    """What is rendered and damped, SI."""
+    """The rendered environment and the damping, SI."""
 
     stiffness: float
     damping: float
@@ -65,7 +66,7 @@ def held_mass(mass_kg: float, spring_n_per_m: float = 0.0, damper_ns_per_m: floa
 
 
 def gripping(mass_kg: float, grip_n_per_m: float, grip_ns_per_m: float = 0.0):
-    """A mass that holds the rotor by a spring and a damper."""
+    """Return a mass coupled to the rotor by a spring and a damper."""
     across = np.array([[1.0, -1.0], [-1.0, 1.0]])
     return PlainHand(np.array([0.0, mass_kg]), grip_ns_per_m * across, grip_n_per_m * across)
 
@@ -89,7 +90,7 @@ class Display:
     amplifier_hz: float = np.inf
     estimate_hz: float = np.inf
     level_gain: float = 1.0
-    residual_m_per_s_n: float = 0.0  # dR / (K_m / r)^2, seen in the estimate
+    residual_m_per_s_n: float = 0.0  # dR / (K_m / r)^2, in the estimate
     mapping: str = "prewarped"
 
 
@@ -109,7 +110,7 @@ def equations(display: Display, hand, levels: np.ndarray) -> tuple[np.ndarray, n
     command = np.zeros(len(names))
     gain = display.level_gain * np.asarray(levels)[:, None]
 
-    # what the motor pushes with: rows over the states, and its share of the command itself
+    # force of the motor: rows over the states, and the share of the command itself
     estimate = unit[at["e"]] if "e" in at else unit[at["v"]]
     smoothed = unit[at["Fr"]] if "Fr" in at else np.zeros(len(names))
     direct = 0.0 if "Fr" in at else 1.0
@@ -128,7 +129,7 @@ def equations(display: Display, hand, levels: np.ndarray) -> tuple[np.ndarray, n
         seen = unit[at["v"]] + display.residual_m_per_s_n * motor
         rates[:, at["e"]] = corner * (seen - unit[at["e"]])
 
-    # the hand: a node without mass goes where its dampers balance
+    # the hand: a node without mass moves to the balance of its dampers
     positions = np.array([unit[at["x"]]] + [unit[at[f"hx{i}"]] for i in range(1, n_hand)])
     velocities = np.zeros((n_hand, len(names)))
     velocities[0] = unit[at["v"]]
@@ -245,8 +246,8 @@ NO_FILTER = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def closed(display: Display, tick: Held, points: list[Point], filtered: bool = True) -> np.ndarray:
-    """The whole tick under each of `points` (P,) as a matrix (P, N, N); `tick` holds for the
-    points' levels, one each.
+    """Return the whole tick under each of `points` (P,) as a matrix (P, N, N); `tick` belongs to
+    the points' levels, one each.
     """
     n = tick.states.shape[1]
     x_past = n  # x of 1, 2, 3, 4 ticks ago
@@ -303,7 +304,9 @@ def eigenvalues(display: Display, points: list[Point], hand=NOBODY, filtered: bo
 
 
 def radius(display: Display, points: list[Point], hand=NOBODY, filtered: bool = True) -> np.ndarray:
-    """Spectral radius (P,) of one tick under each of `points` in `hand`; 1 for what drifts."""
+    """Return the spectral radius (P,) of one tick under each of `points` in `hand`; 1
+    for a drift.
+    """
     return np.abs(eigenvalues(display, points, hand, filtered)).max(axis=1)
 
 

@@ -1,6 +1,4 @@
-"""What the wire tests know of hapticd_wire.h: its declarations as text, and the way to a C
-compiler.
-"""
+"""Access of the wire tests to hapticd_wire.h: its declarations as text, and a C compiler."""
 
 import hashlib
 import re
@@ -56,7 +54,7 @@ STRUCTS = {name: _members(body) for name, body in _STRUCTS}
 
 
 def build(source: Path) -> Path:
-    """Compile `source` with all warnings as errors; the program lies beside it."""
+    """Compile `source` with all warnings as errors; the program is in the same folder."""
     program = source.with_suffix("")
     done = subprocess.run(
         [*compiler(), *FLAGS, str(source), "-o", str(program)], capture_output=True, text=True
@@ -66,7 +64,7 @@ def build(source: Path) -> Path:
 
 
 def run(program: Path, text: str = "") -> str:
-    """What `program` writes when it reads `text`."""
+    """Return the output of `program` for the input `text`."""
     return subprocess.run(
         [str(program)], input=text, capture_output=True, text=True, check=True
     ).stdout
@@ -78,14 +76,14 @@ _WHITE_SPACE = re.compile(r"[ \t\n\r\v\f]+")
 
 
 def declarations(text: str) -> str:
-    """The header `text` without comments, the HAPTICD_PROTOCOL_HASH line and white space, in that
-    order: what counts for its fingerprint.
+    """Return the header `text` without comments, the HAPTICD_PROTOCOL_HASH line and white space, in
+    that order: the input of its fingerprint.
     """
     return _WHITE_SPACE.sub("", _HASH_LINE.sub("", _COMMENT.sub("", text)))
 
 
 def protocol_hash(text: str) -> bytes:
-    """First 8 bytes of SHA-256 over the declarations of the header `text`; what
-    `frames.PROTOCOL_HASH` must be.
+    """Return the first 8 bytes of SHA-256 over the declarations of the header `text`, equal to
+    `frames.PROTOCOL_HASH`.
     """
     return hashlib.sha256(declarations(text).encode("ascii")).digest()[:8]

@@ -1,5 +1,5 @@
-"""Where trials run: names and what is wrong with them, the same outcomes everywhere, errors
-that come home, one core a task.
+"""Executors of trials: names and their errors, equal outcomes everywhere, propagated errors, one
+core per task.
 """
 
 from concurrent.futures import Executor
@@ -17,7 +17,7 @@ from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.store import TrialStore, to_json
 
-SCENE = load_scene("fig7")  # friction and all: what the last bit depends on
+SCENE = load_scene("fig7")  # with friction, which affects the last bit
 SHORT = Conditions(SCENE, 20.0, noise(SCENE))
 AXES = (np.linspace(0.0, 600.0, 5), np.linspace(0.0, 6.0, 4), np.linspace(-0.01, 0.01, 4))
 

@@ -1,6 +1,4 @@
-"""Axis limits and their store: what was interrupted goes on, and comes out as if it had not
-been.
-"""
+"""Axis limits and their store: an interrupted search continues, with the same result."""
 
 from typing import Any
 
@@ -16,7 +14,7 @@ Key = tuple[float, float, float]
 
 
 class Flown:
-    """The engine, with the environments that it was asked for."""
+    """The engine, with a record of the requested environments."""
 
     def __init__(self) -> None:
         self.points: list[Key] = []

@@ -1,6 +1,6 @@
-"""What the probe's amplifier adds is that of the trial, wherever and with whatever it is made.
+"""The noise of the probe's amplifier belongs to the trial, independent of the executor.
 
-The device is linear and narrow: some verdicts need the record, which is then made once more.
+The device is linear and narrow: some verdicts need the record, which is then simulated again.
 """
 
 import numpy as np

@@ -1,1 +1,1 @@
-"""Attacks on the daemon: what each does, and the counter that would show a loss (`table`)."""
+"""Attacks on the daemon: the action of each, and the counter that shows a loss (`table`)."""

@@ -1,9 +1,9 @@
-"""Attacks on the force itself, in virtual time: what is judged is what the simulated motor does.
+"""Attacks on the force itself, in virtual time, judged by the force of the simulated motor.
 
-`force_path` are the flights of `benchmarks.attack`. `frames_out` gives hostile frames to the
-simulated board and to the reference firmware in C, which have to do the same. `dead_servo` ends a
-servo at a random moment with force on: not a frame comes any more, and the board alone has to take
-the force away and keep the damping for as long as docs/safety.md promises.
+`force_path` runs the flights of `benchmarks.attack`. `frames_out` gives hostile frames to the
+simulated board and to the reference firmware in C, which have to behave the same. `dead_servo` ends
+a servo at a random moment with force on. No frame comes any more, so the board has to remove the
+force and keep the damping for as long as docs/safety.md promises.
 """
 
 from random import Random

@@ -1,10 +1,10 @@
-"""Requests that nobody should send, through socket, ZMTP, server and mailbox of the gateway.
+"""Invalid requests through socket, ZMTP, server and mailbox of the gateway.
 
-Each begins as a request that is right, in msgpack or JSON. Values are exchanged for hostile ones,
-fields go, come and nest; a third of them then loses, gains or changes bytes. A peer that speaks
-ZMTP by hand sends PER_PASS of them at once, a servo that stands in for the true one obeys at its
-ticks, and every reply is read. Every message has exactly one reply, every reply says `ok` or one
-error with a known code, and what reaches the servo's ring lies within the limits.
+Each begins as a valid request, in msgpack or JSON. Values are replaced by hostile ones; fields are
+removed, added and nested. A third of the requests then loses, gains or changes bytes. A peer that
+speaks ZMTP by hand sends PER_PASS of them at once. A substitute servo executes the commands at its
+ticks, and every reply is read. Every message has exactly one reply, which contains `ok` or one
+error with a known code. All values that reach the servo's ring are within the limits.
 """
 
 import json
@@ -23,7 +23,7 @@ from support.attacks.rows import Losses, Outcome
 from support.gateway_rig import GatewayRig
 from support.raw_peer import RawPeer
 
-PER_PASS = 18  # a pass takes 20 pieces, and two of these messages have two
+PER_PASS = 18  # a pass takes 20 parts; two of these messages have two parts
 TICKS = 4  # of the servo, for each pass
 LONGEST_WAIT = 400  # passes for replies that are still due: 1.6 s of virtual time
 LONGEST_REPLY = 65_000  # the schema of all requests and answers, in JSON; a status is shorter
@@ -134,7 +134,7 @@ def _encoded(request: dict[str, Any], as_json: bool) -> bytes:
 
 
 def _damaged(encoded: bytes, random: Random) -> bytes:
-    """With bytes that are changed, cut, put in, or repeated; or nothing but noise."""
+    """Return `encoded` with bytes changed, cut, inserted or repeated, or noise."""
     data = bytearray(encoded)
     at = random.randrange(len(data) + 1)
     way = random.randrange(6)
@@ -153,7 +153,7 @@ def _damaged(encoded: bytes, random: Random) -> bytes:
 
 
 class Attacker:
-    """A peer of the gateway that counts what it sent and what came back."""
+    """A peer of the gateway that counts the requests sent and the replies received."""
 
     def __init__(self, rig: GatewayRig, losses: Losses) -> None:
         self.rig = rig
@@ -187,7 +187,7 @@ class Attacker:
             self.read()
 
     def read(self) -> None:
-        """Take every reply that is whole."""
+        """Read every complete reply."""
         came = self.peer.read()
         if came is None:
             self.losses.add("the gateway ended the connection")
@@ -205,7 +205,7 @@ class Attacker:
         self.received = self.received[place:]
 
     def _frame_end(self, place: int) -> tuple[int, int, int] | None:
-        """Flags of the frame at `place`, where its body begins and ends; None: not whole yet."""
+        """Return the flags of the frame at `place`, and its start and end; None if incomplete."""
         if len(self.received) <= place:
             return None
         begin = place + (9 if self.received[place] & LONG else 2)
@@ -242,7 +242,7 @@ class Attacker:
     def _within_limits(self, command: Any) -> None:
         self.posted += 1
         _, kind, _, _, values = command
-        if kind == Command.CANCEL:  # its mask says whose places, and gives no values
+        if kind == Command.CANCEL:  # its mask selects the client; it has no values
             return
         for place in (place for place in Value if place and int(values[Value.MASK]) >> place & 1):
             low, high, _ = LIMITS[place]

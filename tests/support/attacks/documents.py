@@ -1,9 +1,10 @@
-"""Files that somebody edited badly, or that were damaged: configurations, devices and scenes in
-TOML, recordings in HDF5. Each is taken, or refused by one clear error, in bounded time.
+"""Badly edited or damaged files: configurations, devices and scenes in TOML, recordings in HDF5.
+Each is accepted, or refused by one clear error, in bounded time.
 
-A file that is refused stays as it is; of a recording and what is made of it, one is there, whole.
-HDF5 is a C library that a damaged file may hang or crash, so the files go to a process of their
-own, BATCH at a time: one that dies, or is silent for PATIENCE_S, is a loss that names its seed.
+A refused file stays unchanged. Of a recording and its packed copy, at least one is complete. HDF5
+is a C library, which may hang or crash on a damaged file. The files therefore go to a separate
+process, BATCH at a time. A process that dies, or is silent for PATIENCE_S, counts as a loss that
+names its seed.
 """
 
 import json
@@ -63,7 +64,7 @@ def read_settings(path: Path) -> None:
 
 
 def mutated_toml(text: str, chance: Random) -> str:
-    """With numbers exchanged or lines left out."""
+    """Return `text` with numbers replaced or lines removed."""
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         numbers = list(NUMBER.finditer(text))
         lines = text.split("\n")
@@ -125,7 +126,7 @@ def crashed_recording(flown: RecordedFlight, folder: Path) -> Path:
 
 
 def recordings(folder: Path) -> tuple[bytes, bytes]:
-    """A live file that its recorder left, and one that it finished."""
+    """Return a live file as its recorder left it, and a finished one."""
     board = board_of_models(injections=(InjectionParams("drop_in", tick=500, count=2),))
     with RecordedFlight(board=board) as flown:
         flown.move()
@@ -136,7 +137,7 @@ def recordings(folder: Path) -> tuple[bytes, bytes]:
 
 
 def damaged_bytes(source: bytes, chance: Random) -> bytes:
-    """With bits flipped, mostly where the structure stands; one in five is cut."""
+    """Return `source` with flipped bits, mostly in the structure; one in five is cut."""
     data = bytearray(source)
     for _ in range(chance.choice((1, 2, 5, 20))):
         data[chance.randrange(chance.choice((40_000, len(data))))] ^= 1 << chance.randrange(8)
@@ -146,8 +147,8 @@ def damaged_bytes(source: bytes, chance: Random) -> bytes:
 
 
 def pack_damaged(folder: Path, data: bytes) -> None:
-    """Pack a live file of `data`. AssertionError if the live file is gone although some of it was
-    not packed, if it is there although all was, or if it is not what it was.
+    """Pack a live file of `data`. AssertionError if the live file is removed although a part of it
+    was not packed, if it remains although all was packed, or if it has changed.
     """
     path = folder / "any.part.h5"
     path.write_bytes(data)
@@ -236,7 +237,7 @@ def _batch(one: Try, seeds: range, losses: Losses) -> int:
 def _serve(one: Try, seeds: range, told: Connection) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in seeds:
-            for left in Path(folder).iterdir():  # by one that was a loss: no loss of the next
+            for left in Path(folder).iterdir():  # files of a lost batch do not count in the next
                 left.unlink()
             try:
                 one(Path(folder), seed)

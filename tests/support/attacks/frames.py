@@ -1,11 +1,11 @@
-"""IN frames that no board should send, through `usb.device` and `wire`, and what may come of them.
+"""Invalid IN frames through `usb.device` and `wire`, and their effect.
 
-A tape has FRAMES frames of a board that counts its ticks, which the host reads one a tick. A third
-is left as it is; the others are damaged in bits, in fields under a CRC that fits, exchanged for
-noise, cut, repeated or left out. What is whole is decided apart, for all frames of a tape at once,
-by a table of CRCs that `numpy` makes from the definition of the polynomial: the code that is judged
-has no part in it. A frame that is broken may never be taken, and one that is whole may never be
-called broken; the device never raises, and what it returns are the fields of the frame.
+A tape has FRAMES frames of a board that counts its ticks; the host reads one per tick. A third of
+the frames is unchanged. The others have damaged bits or damaged fields under a valid CRC, or are
+replaced by noise, cut, repeated or omitted. The test decides independently which frames are valid,
+for all frames of a tape at once, by a table of CRCs that `numpy` computes from the definition of
+the polynomial. It uses no part of the code under test. An invalid frame must never be accepted, and
+a valid one never refused. The device never raises and returns the fields of the frame.
 """
 
 from array import array
@@ -23,7 +23,7 @@ from support.attacks.rows import Losses, Outcome
 
 FRAMES = 20_000  # of one tape
 PERIOD_US = 1000
-WAYS = 8  # to treat a frame, the first three of which leave it alone
+WAYS = 8  # treatments of a frame; the first three leave it unchanged
 AXIS_PLACE = 4
 COUNT_PLACE = 5
 Packets = NDArray[np.uint8]
@@ -38,7 +38,7 @@ class Tape(NamedTuple):
 
 
 def crc_table() -> NDArray[np.uint16]:
-    """What a byte does to a CRC, by the definition: a shift and an xor for each of its bits."""
+    """Return the effect of a byte on a CRC, by the definition: a shift and an xor for each bit."""
     crc = np.arange(256, dtype=np.uint32) << 8
     for _ in range(8):
         crc = np.where(crc & 0x8000, crc << 1 ^ frames.CRC_POLYNOMIAL, crc << 1) & 0xFFFF
@@ -66,7 +66,7 @@ def tape(count: int, seed: int) -> Tape:
     packets[forged, place[forged]] = rng.integers(0, 256, count)[forged]
     noise = way == 4
     packets[noise] = rng.integers(0, 256, (int(noise.sum()), frames.IN_BYTES), np.uint8)
-    # half of the noise, too, under a CRC that fits: what is left are fields that make no sense
+    # half of the noise too has a valid CRC, so that the fields make no sense
     sealed = rng.random(count) < np.where(noise, 0.5, 1.0)
     packets[sealed, -2:] = crcs(packets[:, :-2])[sealed].astype("<u2")[:, None].view(np.uint8)
     for bits in range(1, 4):
@@ -104,7 +104,7 @@ def _whole(packets: Packets, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 class TapeLink(Link):
-    """A link that gives one packet a tick, and nothing behind it."""
+    """A link that delivers one packet per tick and queues none."""
 
     def __init__(self, played: Tape) -> None:
         self._packets = played.packets.tobytes()

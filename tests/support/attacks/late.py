@@ -1,13 +1,13 @@
-"""Late ticks of a daemon under attack, beside a control that burns the same CPU without attacking.
+"""Late ticks of a daemon under attack, compared with a control that uses the same CPU time.
 
-Blocks of BLOCK_S go in turns, attack and control, so that a pause of the machine meets both alike.
-In an attack block three peers flood, storm and crowd the gateway; what they and the gateway spent
-of CPU is measured, and in the control block after it three processes spend as much. The servo has
-SCHED_FIFO in both where that is permitted (figure `fifo`). Judged is whether the rate of late ticks
-under attack may be that of the control: Fisher's exact test (Fisher 1935), one-sided.
+Blocks of BLOCK_S alternate between attack and control, so that a pause of the machine affects both
+alike. In an attack block three peers flood, storm and crowd the gateway, and the CPU time of the
+peers and the gateway is measured. In the following control block three processes use as much. The
+servo has SCHED_FIFO in both where that is permitted (figure `fifo`). Fisher's exact test (Fisher
+1935), one-sided, judges whether the rate of late ticks under attack exceeds that of the control.
 
 Figures: late ticks of each, their number, p, and the smallest share of late ticks under attack that
-would have been told from the control's at p < JUDGED_P: a difference below that is not detectable.
+differs from the control's at p < JUDGED_P. A smaller difference is not detectable.
 """
 
 import resource
@@ -31,7 +31,7 @@ COMMAND = [sys.executable, "-m", "support.attacks.peers"]
 
 
 class Block(NamedTuple):
-    """What a block counted."""
+    """The counts of a block."""
 
     late: int
     ticks: int
@@ -71,7 +71,9 @@ def judged(attacked: Block, control: Block) -> Outcome:
 
 
 def detectable(ticks: int, control: Block) -> int:
-    """The smallest number of late ones of `ticks` that the test tells from the control's."""
+    """Return the smallest number of late ticks of `ticks` that the test distinguishes from the
+    control.
+    """
     low = 0
     high = max(1, ticks)
     while low < high:

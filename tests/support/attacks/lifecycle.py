@@ -1,10 +1,11 @@
-"""Attacks on the life of a request past the guard: what ends it, and when it may still be obeyed.
+"""Attacks on the life of a request past the guard: the event that ends it, and whether it is still
+executed later.
 
-Each attack draws one value of each of its features, in turns so that all come equally often, and
-plays one life at random moments on a fresh `Stand`. Most have a control, which is the same without
-the attack: there the motor has to push.
+Each attack draws one value of each of its features, in rotation, so that all are equally frequent.
+It plays one life at random moments on a fresh `Stand`. Most have a control, which is the same
+without the attack: in it the motor has to push.
 
-A feature must decide something (the counts would grow all the same).
+Limitations: a feature must decide something; the counts would grow without that too.
 """
 
 from collections import Counter
@@ -19,7 +20,7 @@ from support.attacks.rows import LEAST, Losses, Outcome, Row
 from support.attacks.stand import NOTHING, STRICT, WORKER, Chosen
 
 COUNTER = "lives in which the simulated motor did otherwise, and controls without force"
-SHARES = 4  # of a whole run, for as many processes
+SHARES = 4  # parts of a whole run, one process each
 
 
 class Attack(NamedTuple):
@@ -46,7 +47,7 @@ class Attack(NamedTuple):
         return Outcome(times, losses.count, tuple(losses.found), came=came)
 
     def row(self) -> Row:
-        """Of so many lives that every value comes at least LEAST times."""
+        """Return the row, with so many lives that every value occurs at least LEAST times."""
         sizes = [len(values) for values in self.features.values()]
         times = -(-LEAST * max(sizes) // prod(sizes)) * prod(sizes)
         part = -(-times // SHARES)

@@ -1,5 +1,5 @@
-"""Lives of requests that end in the gateway: with what is asked after them, with their connection,
-their deadline, their terms. `lifecycle` says what each attack is.
+"""Lives of requests that end in the gateway: by later requests, by their connection, by their
+deadline or by their conditions. `lifecycle` describes the attacks.
 """
 
 from random import Random
@@ -21,7 +21,7 @@ from support.attacks.stand import (
 )
 from support.guard_stub import refuses, stage, verdict
 
-LEVEL_NS_PER_M = 1.5  # takes the 75 ms that an enable waits for
+LEVEL_NS_PER_M = 1.5  # takes the 75 ms for which an enable waits
 ENDS = ("disable", "zero", "home", "reset", "stop", "stop and reset unseen")
 
 
@@ -103,7 +103,7 @@ RELEASE = {"cmd": "lease", "what": "measuring", "action": "release"}
 
 
 def measuring_lease(chosen: Chosen, random: Random) -> None:
-    """Whoever leased measuring schedules a push that would be refused."""
+    """The holder of the measuring lease schedules a push that would be refused."""
     with Stand() as stand:
         stand.enabled()
         stand.settle()
@@ -122,7 +122,7 @@ def measuring_lease(chosen: Chosen, random: Random) -> None:
 
 
 def policy_made_strict(chosen: Chosen, random: Random) -> None:
-    """The servo stands while it has the change to answer."""
+    """The servo pauses while it has the change to answer."""
     with Stand() as stand:
         stand.enabled()
         stand.done(cmd="guard", policy=chosen["before"])
@@ -140,7 +140,9 @@ def policy_made_strict(chosen: Chosen, random: Random) -> None:
 
 
 def gateway_beside_servo(chosen: Chosen, random: Random) -> None:
-    """What is asked of it within the first records, and whether it comes once they are read."""
+    """Requests come within the first records; the test checks whether they act after these are
+    read.
+    """
     what = chosen["what"]
     answers = chosen["worker"] == ANSWERS
     with Stand() as stand:
@@ -175,7 +177,7 @@ def _running(stand: Stand, what: str) -> float:
 
 
 def closed_connection(chosen: Chosen, random: Random) -> None:
-    """Another's change keeps the guard busy meanwhile."""
+    """A change of another client keeps the guard busy meanwhile."""
     control = chosen["place"] == NOTHING
     silent = chosen["worker"] == SILENT
     with Stand() as stand:
@@ -191,7 +193,7 @@ def closed_connection(chosen: Chosen, random: Random) -> None:
         if not control:
             stand.server.leave(b"a")
         seen += _let_go(stand, silent)
-    # a strict policy refuses what no worker judges
+    # a strict policy refuses a change without a verdict
     judged(seen, control=control and (chosen["policy"] == "warn" or not silent))
 
 
@@ -207,7 +209,7 @@ def _keep_waiting(stand: Stand, chosen: Chosen) -> None:
 
 
 def _let_go(stand: Stand, silent: bool) -> list[Moment]:
-    """The worker answers; a silent one is given up after half a second, and answers then."""
+    """Let the worker answer; a silent one times out after half a second, and answers then."""
     stand.worker.held = False
     seen = stand.fly(520, every=20) if silent else []
     stand.worker.silent = False

@@ -1,5 +1,5 @@
-"""Lives of commands that end in the servo: what is bounded, scheduled, left by another gateway,
-played, or no number. `lifecycle` says what each attack is.
+"""Lives of commands that end in the servo: bounded, scheduled, played, without a number, or left by
+another gateway. `lifecycle` describes the attacks.
 """
 
 from random import Random
@@ -23,7 +23,7 @@ END_TICKS = 30  # from a stop to no force
 
 
 def bounded_push(chosen: Chosen, random: Random) -> None:
-    """What happens to the gateway comes before the push, or in it."""
+    """The gateway's event comes before the push, or during it."""
     with Stand() as stand:
         stand.enabled()
         stand.settle()
@@ -34,7 +34,7 @@ def bounded_push(chosen: Chosen, random: Random) -> None:
         seen += _after(stand, chosen["after"], random)
     until = begin + LASTS + LATE
     judged([one for one in seen if one.tick > until])
-    if chosen["after"] != "another gateway":  # whose terms may come before the push
+    if chosen["after"] != "another gateway":  # whose conditions may precede the push
         judged([one for one in seen if begin <= one.tick <= until], control=True)
 
 
@@ -47,7 +47,7 @@ def _after(stand: Stand, after: str, random: Random) -> list[Moment]:
 
 
 def former_gateway(chosen: Chosen, random: Random) -> None:
-    """What it scheduled may be the servo's first command."""
+    """The command that the former gateway scheduled may be the servo's first one."""
     strict = chosen["policy"] != NOTHING
     policy = chosen["policy"] if strict else "warn"
     former = policy if chosen["place"] == "later" and random.random() < 0.5 else "warn"
@@ -66,13 +66,13 @@ def former_gateway(chosen: Chosen, random: Random) -> None:
 
 
 def _next_gateway(stand: Stand, former: str, random: Random) -> None:
-    """Configured as the `former` one was; what that was asked for counts again."""
+    """Start the next gateway, configured as the `former` one was; its requests count again."""
     stand.another_gateway(former)
     stand.fly(random.randrange(2, 20))
 
 
 def client_numbers(chosen: Chosen, random: Random) -> None:
-    """Client b is the first one of its gateway, as a was of the former."""
+    """Client b is the first client of its gateway, as a was of the former one."""
     with Stand() as stand:
         if chosen["left"] == "stop":
             _strangers_stop(stand, chosen, random)
@@ -84,7 +84,7 @@ def client_numbers(chosen: Chosen, random: Random) -> None:
         stand.worker.silent = chosen["worker"] == SILENT
         if chosen["left"] == "schedule":
             stand.done(b"b", cmd="lease", what="environment", action="take")
-        # a strict gateway drops what the one before has scheduled
+        # a strict gateway drops the schedule of its predecessor
         stand.judge(LONG, control=chosen["left"] == NOTHING and chosen["policy"] == "warn")
 
 
@@ -103,7 +103,7 @@ def _strangers_stop(stand: Stand, chosen: Chosen, random: Random) -> None:
 
 
 def dead_gateways_ring(chosen: Chosen, random: Random) -> None:
-    """The servo stands from the posting to the beat of the next gateway."""
+    """The servo pauses from the posting to the heartbeat of the next gateway."""
     left = chosen["left"]
     with Stand() as stand:
         if left == "push" or (left == NOTHING and random.random() < 0.5):
@@ -154,7 +154,7 @@ def mute_perturbation(chosen: Chosen, random: Random) -> None:
 
 # --- masks ----------------------------------------------------------------------------------------
 
-LOST = "slots lost"  # from then on the servo makes slots of the ticks of every command
+LOST = "slots lost"  # from then on the servo counts a slot for the ticks of every command
 
 
 def masks(chosen: Chosen, random: Random) -> None:

@@ -1,10 +1,10 @@
-"""A daemon of its own, what every one of its ticks says, and its processes.
+"""A live daemon, the records of all its ticks, and its processes.
 
-`Watch` reads the telemetry ring itself, from the file that the servo maps: it needs no gateway, so
-it sees also what the servo does while the gateway is stopped, killed or flooded. A tick that took
-longer than its period shows as a jump of `slot` over `tick`; one that a fault of the board made
-late (a read waits for what does not come) says nothing of the machine, so ticks within NEAR_TICKS
-of a disturbed one are counted apart.
+`Watch` reads the telemetry ring from the file that the servo maps. It needs no gateway, so it also
+records the servo while the gateway is stopped, killed or flooded. A tick that took longer than its
+period shows as a jump of `slot` over `tick`. A tick that a fault of the board made late (the read
+waits for a missing frame) contains no information on the machine. Ticks within NEAR_TICKS of a
+disturbed one are therefore counted separately.
 """
 
 import ctypes
@@ -58,7 +58,7 @@ def until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_
 
 
 class Change(NamedTuple):
-    """A tick with another state or fault than the one before."""
+    """A tick whose state or fault differs from the preceding one."""
 
     time_ns: int
     state: int
@@ -72,7 +72,7 @@ class Watch(threading.Thread):
         super().__init__(name="watch")
         self._path = folder / files.TELEMETRY
         self._ending = threading.Event()
-        # read into memory of its own: who maps a file that is cut short is killed by SIGBUS
+        # read into private memory: SIGBUS kills a process that maps a truncated file
         self._ring = memoryview(bytearray(layout.TELEMETRY_BYTES))
         self._file = -1  # descriptor
         self._inode = 0
@@ -90,11 +90,11 @@ class Watch(threading.Thread):
         self.newest_ns = 0
         self.stop_longest_ms = 0.0
         self.error = ""
-        self._look()  # a life that is there already is no new one
+        self._look()  # an existing life is not a new one
         self.start()
 
     def run(self) -> None:
-        """Look until it ends."""
+        """Poll until the end."""
         try:
             while not self._ending.wait(LOOK_S):
                 self._look()
@@ -153,7 +153,7 @@ class Watch(threading.Thread):
         self.lives += 1
 
     def _written(self) -> int:
-        """Records written, as the ring's head says."""
+        """Return the number of records written, from the head of the ring."""
         return int.from_bytes(os.pread(self._file, 8, 0), "little")
 
     def _read(self) -> None:
@@ -185,7 +185,7 @@ class Watch(threading.Thread):
         before = self._last if self._last is not None else rows[0]
         joined = np.concatenate(([before], rows))
         lost = np.diff(joined["slot"].astype(np.int64)) > np.diff(joined["tick"].astype(np.int64))
-        # a gap of the watch itself is no slot
+        # a gap of the watch itself is not a slot
         disturbed = (rows["arrival"] != 0) | (rows["host"] & LINK_UP == 0)
         quiet = self._quiet(disturbed)
         self.ticks += len(rows)
@@ -214,7 +214,7 @@ class Watch(threading.Thread):
 
 
 class Subscriber(threading.Thread):
-    """A client that takes every message of `servo.raw`, and counts what is missing."""
+    """A client that reads every message of `servo.raw` and counts the missing ones."""
 
     def __init__(self, instance: str) -> None:
         super().__init__(name="subscriber")
@@ -224,7 +224,7 @@ class Subscriber(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """Take until it ends."""
+        """Read until the end."""
         decoder = BlockDecoder()
         with Client(self._instance) as client:
             for came in client.messages(["servo.raw"]):
@@ -244,7 +244,7 @@ class Subscriber(threading.Thread):
 
 
 class Usage(NamedTuple):
-    """What a process holds."""
+    """Resources of a process."""
 
     private_kb: int
     descriptors: int
@@ -277,7 +277,7 @@ def children(pid: int) -> list[int]:
 
 
 class LiveDaemon:
-    """`hapticd run` with the configuration `text`, in a runtime folder of its own in memory."""
+    """`hapticd run` with the configuration `text`, in a separate runtime folder in memory."""
 
     def __init__(
         self, text: str, name: str = "attack", console: bool = False, runtime: Path | None = None
@@ -352,7 +352,7 @@ class LiveDaemon:
         self._base.cleanup()
 
     def events(self) -> list[dict[str, Any]]:
-        """What the supervisor has told."""
+        """Return the events of the supervisor."""
         lines = self.log.read_text(errors="replace").splitlines()
         return [json.loads(one) for one in lines if one.startswith("{") and one.endswith("}")]
 
@@ -374,14 +374,14 @@ class LiveDaemon:
         return found
 
     def state(self) -> str:
-        """Of the servo; empty if nobody answers."""
+        """Return the state of the servo; empty without a reply."""
         try:
             return str(self.client.call("get")["state"])
         except HapticdError:
             return ""
 
     def to_force(self) -> None:
-        """Whatever the state: enabled. AssertionError if that cannot be reached."""
+        """From any state to `enabled`."""
 
         def enabled() -> bool:
             for cmd in ("reset", "zero", "enable"):

@@ -1,12 +1,11 @@
-"""Peers of a running gateway that behave as no library lets them; each is a process of its own.
+"""Peers of a running gateway that behave as no library allows; each is a separate process.
 
     python -m attacks.peers KIND FOLDER PIECES SEED
 
-They speak ZMTP by hand on plain sockets. What a peer cannot do any more (its connection was ended,
-the kernel takes nothing) it does on a new connection, until PIECES are done. Done is a connection
-that the gateway greeted, and what the kernel took whole on such a one; everything else was refused,
-and is counted apart. Prints both numbers; ends with an error where nothing at all is taken for
-GIVEN_UP_S.
+They speak ZMTP by hand on plain sockets. When a connection ends, or the kernel accepts no data, a
+peer continues on a new connection, until PIECES are done. A piece is done if the gateway greeted
+the connection, or if the kernel accepted the whole piece on such a connection. All others count as
+refused. Prints both numbers; ends with an error if no piece is accepted for GIVEN_UP_S.
 """
 
 import os
@@ -26,11 +25,11 @@ import msgpack
 from hapticd.gateway.zmtp import GREETING, LONG, MORE
 from hapticd.mailbox import files
 
-PATIENCE_S = 0.2  # for the kernel to take or give something
+PATIENCE_S = 0.2  # for the kernel to accept or deliver data
 GIVEN_UP_S = 60.0
 REFUSED_S = 0.01  # before the next try
 HELD_S = 0.5
-PAUSE_S = 0.1  # in which the gateway notices that they have left
+PAUSE_S = 0.1  # in which the gateway detects that they have left
 SLICE_S = 0.01
 REQUESTS = tuple(
     msgpack.packb(one)
@@ -59,7 +58,7 @@ def introduction(kind: bytes) -> bytes:
 
 
 class Peers:
-    """Opens connections to the gateway in `folder`, and counts what became of the pieces."""
+    """Opens connections to the gateway in `folder`, and counts the pieces done and refused."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder = folder
@@ -70,9 +69,7 @@ class Peers:
         self._taken_s = time.monotonic()  # when something was, last
 
     def count(self, done: int, refused: int) -> None:
-        """Pieces that were done, and such as were refused. SystemExit: nothing is taken for
-        GIVEN_UP_S.
-        """
+        """Count pieces done and refused. SystemExit: none is accepted for GIVEN_UP_S."""
         self.done += done
         self.refused += refused
         if done:
@@ -83,7 +80,7 @@ class Peers:
             time.sleep(REFUSED_S)
 
     def open(self, name: str, kind: bytes = b"") -> socket.socket | None:
-        """A connection to the socket file `name`, introduced as `kind`; None: not taken."""
+        """Return a connection to the socket file `name`, introduced as `kind`; None if refused."""
         line = socket.socket(socket.AF_UNIX)
         line.settimeout(PATIENCE_S)
         try:
@@ -115,7 +112,7 @@ class Peers:
 
 
 def greeted(line: socket.socket, wait_s: float) -> bool:
-    """Whether the gateway has taken this connection: it greets whom it takes at once."""
+    """Return whether the gateway accepted this connection; it greets at once if so."""
     line.settimeout(wait_s)
     try:
         return bool(line.recv(1, socket.MSG_PEEK))
@@ -126,7 +123,7 @@ def greeted(line: socket.socket, wait_s: float) -> bool:
 
 
 def send(line: socket.socket, data: bytes) -> int:
-    """How many bytes of `data` were taken."""
+    """Return the number of bytes of `data` that were accepted."""
     taken = 0
     with suppress(OSError):
         while taken < len(data):
@@ -135,7 +132,7 @@ def send(line: socket.socket, data: bytes) -> int:
 
 
 def drain(line: socket.socket) -> None:
-    """Read what has come."""
+    """Read all available data."""
     line.setblocking(False)
     with suppress(OSError):
         while line.recv(1 << 16):
@@ -144,7 +141,7 @@ def drain(line: socket.socket) -> None:
 
 
 class Lines:
-    """Connections of one peer, each opened again when it does not take what it is given."""
+    """Connections of one peer, each opened again when it does not accept the data."""
 
     def __init__(self, peers: Peers) -> None:
         self._peers = peers
@@ -153,8 +150,8 @@ class Lines:
     def burst(
         self, place: int, name: str, kind: bytes, pieces: list[bytes]
     ) -> socket.socket | None:
-        """`pieces` on the connection number `place` to `name`, and counted: the connection, None
-        if it did not take all of them.
+        """Send `pieces` on the connection number `place` to `name`, and count them. Return the
+        connection, or None if it did not accept all of them.
         """
         key = (place, name)
         line = self._lines.get(key) or self._peers.talk(name, kind)
@@ -171,7 +168,7 @@ class Lines:
 
 
 def flood(peers: Peers, pieces: int) -> None:
-    """Requests as fast as they are taken, from four connections; every second one reads."""
+    """Send requests as fast as they are accepted, on four connections; every second one reads."""
     lines = Lines(peers)
     turn = 0
     while peers.done < pieces:
@@ -184,7 +181,7 @@ def flood(peers: Peers, pieces: int) -> None:
 
 
 def slow_readers(peers: Peers, pieces: int) -> None:
-    """Subscribers to everything that read a byte now and then, or never; 100 at a time."""
+    """Subscribe to everything and read a byte now and then, or never; 100 peers at a time."""
     while peers.done < pieces:
         asked = min(100, pieces - peers.done)
         for _ in range(asked):
@@ -209,7 +206,7 @@ def _trickle(peers: Peers) -> None:
 
 
 def half_open(peers: Peers, pieces: int) -> None:
-    """Connections that are left in the middle of greeting, READY or a frame, or at once."""
+    """Leave connections in the middle of greeting, READY or a frame, or at once."""
     whole = introduction(b"DEALER") + framed(REQUESTS[1]) + framed(bytes(60_000))
     while peers.done < pieces:
         asked = min(60, pieces - peers.done)
@@ -258,8 +255,8 @@ def multipart(peers: Peers, pieces: int) -> None:
 
 
 def killed(peers: Peers, pieces: int) -> None:
-    """Clients that ask, subscribe and hold a lease, and are killed at any moment after their first
-    request; one that could not send any within PATIENCE_S counts as refused.
+    """Run clients that send requests, subscribe and hold a lease; kill each at a random moment
+    after its first request. A client that could not send one within PATIENCE_S counts as refused.
     """
     lease = framed(msgpack.packb({"cmd": "lease", "what": "environment", "ttl_s": 5.0}))
     while peers.done < pieces:
@@ -281,7 +278,7 @@ def killed(peers: Peers, pieces: int) -> None:
 
 
 def _busy_client(peers: Peers, lease: bytes, telling: int) -> None:
-    """It never returns; writes a byte to `telling` when it has asked."""
+    """Write a byte to `telling` after the first request; never return."""
     while True:
         asking = peers.talk(files.COMMAND_SOCKET, b"DEALER")
         told = peers.open(files.TELEMETRY_SOCKET, b"SUB")

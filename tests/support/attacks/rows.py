@@ -1,10 +1,10 @@
-"""A row of the attack suite: what is tried, what has to come of it, and what would show a loss.
+"""A row of the attack suite: the attack, the expected result, and the counter that shows a loss.
 
-A row counts two things: what was `tried`, and what was `lost` by its own counter, which has to stay
-at 0. That the counter counts is a test of its own: one loss is injected, and it has to rise
-(`test_attacks`). Numbers that say how far away the end was (a longest time to stop, the memory that
-came) are `figures`; the largest of all parts of a row counts. A row that draws its pieces from
-kinds counts how often each of them `came`: in a whole run at least LEAST times.
+A row counts the pieces `tried`, and those `lost` by its own counter, which has to stay at 0. A
+separate test (`test_attacks`) injects one loss, and the counter has to rise. Distances from a
+failure (the longest time to stop, the growth of memory) are `figures`; the largest of all parts of
+a row counts. A row that draws its pieces from kinds counts how often each kind `came`: in a whole
+run at least LEAST times.
 """
 
 from collections import Counter
@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 NOTED = 8  # losses that are described; all are counted
-LEAST = 20  # times that every kind comes in a whole run
+LEAST = 20  # occurrences of every kind in a whole run
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an attack came to."""
+    """The result of an attack."""
 
     tried: int
     lost: int = 0
-    found: tuple[str, ...] = ()  # what was lost, in words
+    found: tuple[str, ...] = ()  # descriptions of the losses
     figures: dict[str, float] = field(default_factory=dict)
     came: Counter[str] = field(default_factory=Counter)  # by kind
 
@@ -38,7 +38,7 @@ class Outcome:
 
 
 class Losses:
-    """Counts what was lost."""
+    """A counter of losses."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -56,16 +56,16 @@ class Losses:
 
 
 class Row(NamedTuple):
-    """One line of the table. `attack(times, seed)` tries `times` pieces, the same for the same
-    seed where nothing but the seed decides.
+    """One row of the table. `attack(times, seed)` tries `times` pieces, the same for the same seed
+    where only the seed decides.
     """
 
     name: str
     does: str
     expected: str
     counter: str
-    unit: str  # of what is tried
-    times: int  # of a whole run
-    short: int  # of the run that continuous integration makes
+    unit: str  # unit of `times`
+    times: int  # in a whole run
+    short: int  # in the run of continuous integration
     attack: Callable[[int, int], Outcome]
-    part: int = 0  # pieces that one process tries at once; 0: all, and nothing else beside it
+    part: int = 0  # pieces that one process tries at once; 0: all, without other processes

@@ -1,11 +1,10 @@
 """Every process of a daemon under force is stopped, killed and crashed, at random moments.
 
-What has to come of it: force never comes back by itself. A servo that died begins anew, disabled
-and without force; whatever left `enabled` stays out of it until somebody asks; a gateway that is
-silent for a second is a latched fault while it is still silent. Every process is there again, the
-daemon answers, can be enabled, and obeys a stop, which it does as well while anything but the
-servo is stopped. The force of a servo that is dead is the board's: what that does is flown in
-lock-step (`boards.dead_servo`).
+Expected: force never returns by itself. A servo that died restarts disabled and without force. A
+daemon that left `enabled` stays out of it until a client enables it. A gateway that is silent for a
+second latches a fault while it is still silent. Every process runs again, the daemon answers and
+can be enabled. It obeys a stop, also while any process but the servo is stopped. The board decides
+the force of a dead servo; that case is flown in lock-step (`boards.dead_servo`).
 """
 
 import os
@@ -24,7 +23,7 @@ from support.attacks.stage import QUIET, SETTINGS, shared
 
 STOPPED_S = (0.02, 0.3, 1.6)
 GATEWAY_PATIENCE_S = 1.0
-SETTLED_S = 0.3  # in which nothing may come back by itself
+SETTLED_S = 0.3  # in which force must not return by itself
 DEADLY = (signal.SIGKILL, signal.SIGSEGV)
 
 
@@ -43,7 +42,7 @@ ALL = tuple(
 
 
 def order(random: Random) -> list[Strike]:
-    """What one daemon goes through: everything once, its supervisor last."""
+    """Return the strikes on one daemon: each once, its supervisor last."""
     strikes = [*ALL, Strike("supervisor", signal.SIGSTOP)]
     random.shuffle(strikes)
     return [*strikes, Strike("supervisor", random.choice(DEADLY))]
@@ -89,8 +88,8 @@ def _one(daemon: LiveDaemon, watch: Watch, strike: Strike, random: Random, losse
 
 
 def _serves(daemon: LiveDaemon, name: str) -> bool:
-    """Whether that process is there; of the page, which is left out if it never served, that it
-    has said where it is.
+    """Return whether that process runs. The page must also have published its address; a page that
+    never served is omitted.
     """
     there = name in daemon.processes()
     return there and (name != "console" or (daemon.folder / files.CONSOLE).exists())
@@ -117,7 +116,7 @@ def _struck(daemon: LiveDaemon, watch: Watch, strike: Strike, random: Random) ->
 
 
 def _stopped(daemon: LiveDaemon, watch: Watch) -> None:
-    """A stop is obeyed; it is pressed while something else does not run."""
+    """Check that a stop is obeyed when it is pressed while another process does not run."""
     since_ns = time.monotonic_ns()
     press_stop(daemon.folder)
     watch.stopped_ms(since_ns)
@@ -131,14 +130,14 @@ def _lives(pid: int) -> bool:
 
 
 def _stays_without_force(daemon: LiveDaemon, watch: Watch) -> None:
-    """AssertionError if a new servo that nobody enabled was enabled or had force in any tick."""
+    """AssertionError if a new servo without an enable was enabled or had force in any tick."""
     time.sleep(SETTLED_S)
     assert not watch.live_in_this_life, "force came back by itself"
     assert daemon.state() == "disabled", f"it came back {daemon.state()}"
 
 
 def _nothing_came_back(watch: Watch, since_ns: int) -> None:
-    """AssertionError if a state that had ended force became `enabled` again."""
+    """AssertionError if a state that had ended the force became `enabled` again."""
     time.sleep(SETTLED_S)
     states = [one.state for one in watch.changes if one.time_ns >= since_ns]
     assert State.ENABLED not in states, f"enabled again by itself: {states}"

@@ -1,16 +1,18 @@
-"""A running daemon under force, somebody who depends on it, and what an attack on it cost them.
+"""A running daemon under force, a client that depends on it, and the cost of an attack to that
+client.
 
-While an attack runs, a client asks 20 times a second and reads every tick, and about once a second
-a stop is pressed, in turns by the stop word and by a request, timed from the press to the first
-tick without force by the servo's own records; then the force is brought back. Lost is
+While an attack runs, a client sends 20 requests per second and reads every tick. About once a
+second a stop is pressed, alternately by the stop word and by a request. It is timed from the press
+to the first tick without force, by the servo's own records; then the force is enabled again. A loss
+is
 
     a request without a reply in 10 s, a reply that the servo is down, a record that the subscriber
-    did not get, a process that ended, a fault that nobody asked for
+    did not get, a process that ended, a fault without a cause in the test
 
-and nothing else: a client may be told `busy` and ask again.
+and nothing else: a client may receive `busy` and retry.
 
-A whole run has the configuration of a user, time-outs and real-time rights included. The short form
-of continuous integration shares its machine, and is `patient`.
+A whole run has the configuration of a user, with time-outs and real-time rights. The short form of
+continuous integration shares its machine, and is `patient`.
 """
 
 import subprocess
@@ -49,7 +51,7 @@ shared: list["Stage"] = []
 
 
 def settings(patient: bool) -> str:
-    """The configuration of a whole run; `patient`: of the short form."""
+    """Return the configuration of a whole run, or of the short form (`patient`)."""
     return SETTINGS + (QUIET + PATIENT if patient else "")
 
 
@@ -57,14 +59,14 @@ class Stop(NamedTuple):
     """One stop that was pressed."""
 
     took_ms: float  # from the press to no force
-    call_ms: float  # of these, until whoever pressed went on
+    call_ms: float  # of these, until the call returned
 
 
 class Bystander(threading.Thread):
-    """A client that asks, and waits for its reply.
+    """A client that sends requests and waits for each reply.
 
-    It is connected before anything begins: who comes to an address whose places are all taken
-    waits until a peer leaves, however fast the gateway is.
+    It is connected before the attack begins. A client that connects to a full address waits until a
+    peer leaves, however fast the gateway is.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -78,7 +80,7 @@ class Bystander(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """Ask until it ends."""
+        """Send requests until the end."""
         while not self._ending.wait(ASK_S):
             began = time.monotonic()
             self.asked += 1
@@ -113,7 +115,7 @@ class Stage:
         self.daemon.__exit__(*what)
 
     def attacked(self, kind: str, pieces: int, seed: int) -> Outcome:
-        """Let peers of `kind` do `pieces`, and look at what became of everybody else."""
+        """Let peers of `kind` do `pieces`, and measure the effect on the other clients."""
         losses = Losses()
         self.daemon.to_force()
         pids = self.daemon.processes()
@@ -188,7 +190,7 @@ def shared_stage() -> Iterator[Stage]:
 
 
 def on_stage(kind: str, pieces: int, seed: int) -> Outcome:
-    """An attack of peers, on the shared stage or on one of its own."""
+    """Run an attack of peers, on the shared stage or on a new one."""
     if shared:
         return shared[0].attacked(kind, pieces, seed)
     with Stage() as stage:

@@ -1,11 +1,11 @@
 """A servo, its simulated board and the command server on virtual time, judged at the board's motor.
 
-The handle is so heavy that it stays where it is, and PUSH is a wall about it: whatever brings
-force, an enable or a change of the environment, brings it at once. So one question decides every
-attack on the life of a request, whether the simulated motor pushed. Neither replies nor records of
-the servo are asked.
+The handle is so heavy that it stays in place, and PUSH is a wall around it. Any event that enables
+force, an enable or a change of the environment, makes force at once. One criterion therefore
+decides every attack on the life of a request: whether the simulated motor pushed. Replies and
+records of the servo are not used.
 
-Limitations: lives so long that the wall pushes the handle out of itself, after some 5 s.
+Limitations: lives longer than about 5 s, in which the wall pushes the handle out of itself.
 """
 
 from collections.abc import Mapping
@@ -25,17 +25,17 @@ from support.gateway_rig import UNIX_NS, decoded, packed
 from support.guard_stub import StubWorker
 from support.models import servo_params
 
-NOTHING = "no attack"  # the control: force has to come
+NOTHING = "no attack"  # the control: force must act
 ANSWERS = "worker answers"
 SILENT = "worker silent"
 WORKER = (ANSWERS, SILENT)
 STRICT = ("clamp", "refuse", "follow")
 LONG = 150  # ticks within which all that may follow has followed
-Chosen = Mapping[str, str]  # what an attack drew of each of its features
+Chosen = Mapping[str, str]  # the value that an attack drew for each of its features
 HANDLE_KG = 400.0
 PUSH = {"stiffness_n_per_m": 25.0, "virtual_damping_ns_per_m": 0.0, "position_m": 0.02, "side": -1}
 PUSHES_N = 0.1  # of the 0.5 N that PUSH comes to
-RAMP_TICKS = 40  # after which an enable has its whole force
+RAMP_TICKS = 40  # after which an enable has the whole force
 SERVO = servo_params(safety=SafetyParams(enable_ramp_s=0.02, limit_cycle_faults=False))
 
 
@@ -55,7 +55,7 @@ class Moment(NamedTuple):
 
 
 class SlowWorker(StubWorker):
-    """A worker whose answers stay on their line while they are `held`."""
+    """A worker that keeps its answers back while they are `held`."""
 
     held = False
 
@@ -64,7 +64,7 @@ class SlowWorker(StubWorker):
 
 
 class Stand:
-    """Use it as a context manager. `ask` plays a client that waits for its reply."""
+    """Use as a context manager. `ask` plays a client that waits for its reply."""
 
     def __init__(self, *injections: InjectionParams, policy: str = "warn") -> None:
         board = board_params(mass_kg=HANDLE_KG, injections=injections)
@@ -83,7 +83,7 @@ class Stand:
         self.stack.close()
 
     def another_gateway(self, policy: str) -> None:
-        """A new command server in place of any other; `policy` is configured."""
+        """Replace the command server by a new one with the configured `policy`."""
         self.replies: list[dict[str, Any]] = []
         folder = Path(self.stack.mailbox.folder)
         self.view = ServoView(folder, SERVO, lambda: UNIX_NS)
@@ -94,7 +94,7 @@ class Stand:
 
     @property
     def mailbox(self) -> GatewayMailbox:
-        """What the command server writes to."""
+        """The mailbox that the command server writes to."""
         assert self.view.mailbox is not None
         return self.view.mailbox
 
@@ -106,7 +106,7 @@ class Stand:
     # --- time -------------------------------------------------------------------------------------
 
     def settle(self) -> None:
-        """So many ticks that a strict policy judges."""
+        """Run as many ticks as a strict policy needs to judge."""
         self.stack.run(MOST_RECORDS)
         self.look()
 
@@ -130,7 +130,7 @@ class Stand:
         self.replies += [decoded(reply) for reply in self.server.collect(now_ns)]
 
     def pause(self, ms: int) -> None:
-        """Nobody gets the processor for so long."""
+        """Stop all processes for `ms`."""
         self.stack.clock.time_ns += ms * NS_PER_MS
 
     # --- clients ----------------------------------------------------------------------------------
@@ -152,13 +152,13 @@ class Stand:
         raise AssertionError(f"no reply to {fields}")
 
     def done(self, client: bytes = b"a", **fields: Any) -> dict[str, Any]:
-        """`ask`, for what an attack builds on."""
+        """`ask`, with AssertionError if the request is refused."""
         reply = self.ask(client, **fields)
         assert reply["ok"], f"{fields} was refused: {reply['error']['message']}"
         return reply
 
     def enabled(self) -> None:
-        """Force on, with nothing to be rendered."""
+        """Enable the force, with a free environment."""
         self.done(cmd="enable")
         self.fly(RAMP_TICKS)
 
@@ -174,14 +174,14 @@ class Stand:
     # --- verdicts ---------------------------------------------------------------------------------
 
     def judge(self, ticks: int, control: bool = False, every: int = 1) -> None:
-        """AssertionError where the motor pushes in the next ticks; where it does not, as a
-        `control`, for then the attack attacks nothing.
+        """AssertionError if the motor pushes in the next ticks. As a `control`: if it does not
+        push, because then the attack tests nothing.
         """
         judged(self.fly(ticks, every), control)
 
 
 def judged(moments: list[Moment], control: bool = False) -> None:
-    """As `Stand.judge`, of what was flown already."""
+    """As `Stand.judge`, for recorded moments."""
     pushed = [one for one in moments if one.pushes]
     if control:
         assert pushed, "no force without the attack: it attacks nothing"

@@ -1,9 +1,9 @@
-"""What surrounds a daemon turns against it: disk, memory, its runtime folder, another local user.
+"""Faults in the environment of a daemon: disk, memory, its runtime folder, another local user.
 
-A read-only folder and a full disk are made where mounts of one's own are permitted (`unshare`);
-where they are not, a folder that cannot be made and a limit of the size of files stand in. The
-figure `true_mounts` says which. Of another user nothing but its number is needed, so that root can
-play it; where the tests are not root, the modes of all files are judged instead (`true_user`).
+A read-only folder and a full disk are mounted where private mounts are permitted (`unshare`).
+Elsewhere a folder that cannot be created and a limit on file size replace them; the figure
+`true_mounts` tells which. Only the user number of another user is needed, so root can take it.
+Without root, the modes of all files are checked instead (`true_user`).
 """
 
 import os
@@ -30,7 +30,7 @@ from support.attacks.stage import Stage, settings, shared
 
 NOBODY = 65534
 PATIENCE_S = 60.0
-ROOM = 4 << 20  # bytes of memory beyond what the gateway has already
+ROOM = 4 << 20  # bytes of memory beyond the current use of the gateway
 SMALL = 64 << 10  # bytes of a disk that is too small for the rings
 
 
@@ -38,7 +38,7 @@ SMALL = 64 << 10  # bytes of a disk that is too small for the rings
 
 
 def mounts_permitted() -> bool:
-    """Whether this user may mount something for a process of its own."""
+    """Return whether this user may mount file systems in a private namespace."""
     command = ["unshare", "-rm", "mount", "-t", "tmpfs", "none", "/mnt"]
     try:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
@@ -47,7 +47,7 @@ def mounts_permitted() -> bool:
 
 
 class Refusal:
-    """What `hapticd WORDS` said in surroundings in which it cannot work."""
+    """The output of `hapticd WORDS` where it cannot work."""
 
     def __init__(self, words: list[str], runtime: Path, mount: str = "") -> None:
         command = [sys.executable, "-m", "hapticd", *words]
@@ -135,7 +135,7 @@ def _no_room_for_rings(folder: Path) -> None:
 
 
 def _no_room_for_flight(folder: Path) -> None:
-    """The gateway goes on, and says that nothing was written."""
+    """The gateway continues, and reports that the recording was not written."""
     with _under_force() as (daemon, watch):
         gateway = daemon.processes()["gateway"]
         before = resource.prlimit(gateway, resource.RLIMIT_FSIZE, (SMALL, resource.RLIM_INFINITY))
@@ -152,7 +152,7 @@ def _no_room_for_flight(folder: Path) -> None:
 
 
 def _no_room_for_recording(folder: Path) -> None:
-    """The recorder ends with an error, the daemon goes on."""
+    """The recorder ends with an error; the daemon continues."""
     with _under_force() as (daemon, watch):
         target = folder / "disk"
         target.mkdir()
@@ -165,7 +165,7 @@ def _no_room_for_recording(folder: Path) -> None:
 
 
 def memory(times: int, seed: int) -> Outcome:
-    """`times` rounds with a process that gets no more memory, and requests that ask for it."""
+    """Run `times` rounds in which a process gets no more memory, with requests that need memory."""
     losses = Losses()
     with _under_force() as (daemon, watch):
         for number in range(times):
@@ -203,8 +203,8 @@ def _starved(daemon: LiveDaemon, watch: Watch, name: str, random: Random) -> Non
 
 
 def folder_files(times: int, seed: int) -> Outcome:
-    """`times` files of a running daemon cut short, overwritten, removed or replaced, by a program
-    of the same user: the force never comes back by itself, and a start heals everything.
+    """Truncate, overwrite, remove or replace `times` files of a running daemon by a program of the
+    same user. The force never returns by itself, and a restart repairs everything.
     """
     losses = Losses()
     random = Random(seed)
@@ -255,7 +255,7 @@ DAMAGE: dict[str, Callable[[Path, Random], None]] = {
 
 
 def _survived(daemon: LiveDaemon, watch: Watch) -> None:
-    """AssertionError if a servo that began anew has force, or a new start does not heal."""
+    """AssertionError if a restarted servo has force, or if a restart does not repair the daemon."""
     lives = watch.lives
     time.sleep(0.5)
     if watch.lives > lives:
@@ -280,7 +280,7 @@ def _survived(daemon: LiveDaemon, watch: Watch) -> None:
 
 
 def local_user(times: int, seed: int) -> Outcome:
-    """`times` rounds of another user who tries every name, and floods the telemetry by TCP."""
+    """Run `times` rounds of another user that tries every name and floods the telemetry by TCP."""
     losses = Losses()
     true_user = os.geteuid() == 0
     with _under_force() as (daemon, watch):
@@ -297,7 +297,7 @@ def local_user(times: int, seed: int) -> Outcome:
 
 
 def _modes(folder: Path) -> None:
-    """AssertionError for what others may write, or enter."""
+    """AssertionError for a folder that others may enter, or a file that they may write."""
     assert stat.S_IMODE(folder.stat().st_mode) & 0o077 == 0
     for one in folder.iterdir():
         assert stat.S_IMODE(one.stat().st_mode) & 0o002 == 0 or one.is_socket(), one.name
@@ -348,7 +348,7 @@ def _flooded(host: str, port: int) -> int:
     return 0
 
 
-# --- what is common -------------------------------------------------------------------------------
+# --- helpers --------------------------------------------------------------------------------------
 
 
 @contextmanager

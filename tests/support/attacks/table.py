@@ -1,4 +1,4 @@
-"""The table of attacks: `make attack` runs its rows whole, the tests each of them in short."""
+"""The table of attacks: `make attack` runs each row in full, the tests run its short form."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Octave as a second opinion: the script, how it is run, and the golden file that was made with it.
+"""Octave as an independent reference: the script, its runner, and the golden file made with it.
 
-python -m tests.octave.run      makes golden.json again
+`python -m tests.octave.run` regenerates golden.json.
 """

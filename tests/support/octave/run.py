@@ -54,7 +54,7 @@ def spa_by_octave(force: np.ndarray, velocity: np.ndarray, lag: int, rate_hz: fl
 def make_golden(
     n_samples: int = 500, lag: int = 40, rate_hz: float = 4000.0, seed: int = 5
 ) -> None:
-    """Write golden.json: the record and what octave makes of it."""
+    """Write golden.json: the record and the result of octave."""
     force, velocity = record(n_samples, seed)
     columns = spa_by_octave(force, velocity, lag, rate_hz)
     golden = {

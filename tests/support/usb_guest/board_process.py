@@ -1,17 +1,17 @@
-"""The simulated board behind USB/IP in a process of its own, with faults that begin and end when a
-case says so: one line on stdin, one line of JSON back.
+"""The simulated board behind USB/IP in a separate process, with faults that a case starts and ends:
+one line on stdin, one line of JSON back.
 
-    fault out|in ERRNO [TIMES]   transfers fail with that error; ETIMEDOUT: NAK, nobody answers
+    fault out|in ERRNO [TIMES]   transfers fail with that error; ETIMEDOUT: NAK, no answer
     length BYTES [TIMES]         IN packets of that length: short, empty, or more than a packet
-    hello stall|nak|hash|serial  how the request HELLO is answered
-    heal                         none of these any more
-    pull                         the cable, now, whatever is under way
+    hello stall|nak|hash|serial  fault of the answer to the request HELLO
+    heal                         end all of these
+    pull                         unplug the cable now, also during a transfer
     count                        OUT and IN packets so far
 
-`--firmware` puts the C reference firmware in the place of the Python board.
+`--firmware` uses the C reference firmware in place of the Python board.
 
-A fault must not be set between the two halves of a transfer (there is one thread that serves, and
-Python lets the other in between its instructions only).
+Limitations: a fault must not be set between the two halves of a transfer. One thread serves, and
+Python switches threads between its instructions only.
 """
 
 import argparse
@@ -36,7 +36,7 @@ SERIAL_AT = 16  # of the hello reply
 
 
 class Faulty:
-    """A Port that fails as it is told."""
+    """A Port that fails on request."""
 
     def __init__(self, port: Port) -> None:
         self.port = port
@@ -96,7 +96,7 @@ class Faulty:
 
 
 class SilentDevice(UsbDevice):
-    """Answers no request HELLO while it is told so."""
+    """Does not answer the request HELLO while that is set."""
 
     faulty: Faulty
 

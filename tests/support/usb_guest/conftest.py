@@ -62,8 +62,8 @@ def device(board: Board, in_flight: bool) -> Iterator[Device]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """One line for each case, and for each thing that was measured, as test_usb_stack.py
-    reads them.
+    """Write one line for each case and each measurement, in the format that test_usb_stack.py
+    reads.
     """
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.getreports(outcome):

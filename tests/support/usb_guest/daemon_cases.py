@@ -1,5 +1,5 @@
-"""The whole daemon, started before its board, with a network of its own as the shipped unit has it.
-One daemon lives through all cases, in their order. Run by `make test-usb` in a user-mode kernel
+"""The whole daemon, started before its board, with a private network as in the shipped unit. One
+daemon runs through all cases, in their order. Run by `make test-usb` in a user-mode kernel
 (tests/acceptance/test_usb_stack.py).
 """
 
@@ -37,7 +37,7 @@ class Daemon:
 
     def __init__(self) -> None:
         simulated = (shipped("config") / "devices" / "simulated.toml").read_text()
-        # the board of that file, which is not simulated for whoever finds it at a bus
+        # the board of that file, without the simulated flag, as found at a bus
         real = simulated.replace("simulated = true\n", "").partition("[plant]")[0]
         (FOLDER / "board.toml").write_text(real)
         (FOLDER / "hapticd.toml").write_text(f"device = '{FOLDER}/board.toml'\n{RATE}{LENIENT}")
@@ -59,7 +59,7 @@ class Daemon:
         return self._client
 
     def report(self) -> dict[str, Any]:
-        """What the servo says of itself and its board."""
+        """Return the servo's report on itself and its board."""
         assert self.process.poll() is None, self.log.read_text()
         try:
             return dict(json.loads((FOLDER / "hapticd" / files.REPORT).read_text()))
@@ -67,7 +67,7 @@ class Daemon:
             return {}
 
     def answers(self) -> bool:
-        """The servo ticks: it does not while it looks at a board that came back."""
+        """Return whether the servo ticks; it does not while it examines a board that returned."""
         try:
             return bool(self.client.status().state)
         except DaemonDown:
@@ -85,7 +85,7 @@ class Daemon:
         until(self.answers, "a servo that ticks")
 
     def reset(self) -> None:
-        """Out of a fault whose cause is gone with the first frames."""
+        """Reset a fault whose cause disappeared with the first frames."""
 
         def done() -> bool:
             with suppress(CommandError):
@@ -132,7 +132,7 @@ class Daemon:
         until(enabled, "a bus that holds the rate")
 
     def waits_for(self, reason: str) -> None:
-        """Report and log give this reason."""
+        """Wait until report and log contain this reason."""
         until(lambda: reason in self.report().get("waiting_for", ""), reason)
         until(lambda: reason in self.log.read_text(), f"the log: {reason}")
 

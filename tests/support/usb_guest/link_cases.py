@@ -1,4 +1,4 @@
-"""The link above the true usbcore, usbfs, libusb and udev: transfers and the cable. Run by `make
+"""The link above real usbcore, usbfs, libusb and udev: transfers and the cable. Run by `make
 test-usb` in a user-mode kernel (tests/acceptance/test_usb_stack.py).
 """
 
@@ -65,7 +65,7 @@ def test_every_frame_is_answered_in_order(link: UsbLink) -> None:
 def test_rate_that_the_kernel_holds(
     device: Device, record_property: Callable[[str, object], None]
 ) -> None:
-    """Measured and told, not asserted: this kernel is a process among others."""
+    """Measured and reported, not asserted: this kernel is an ordinary process."""
     found = settle_transport(device, MonotonicClock())
     start = time.perf_counter()
     for _ in range(1000):
@@ -85,7 +85,7 @@ def test_rate_that_the_kernel_holds(
 
 
 def paced_us(device: Device) -> float:
-    """Time that a tick spends in its transfers, where the IN lies ready."""
+    """Return the time that a tick spends in its transfers when the IN is ready."""
     time.sleep(0.004)
     start = time.perf_counter()
     device.receive()
@@ -182,7 +182,7 @@ def test_plug_pulled_under_a_transfer_and_put_in_again(board: Board, link: UsbLi
 
 
 def test_looks_leave_nothing_behind(udev: None) -> None:
-    """Each has a libusb context of its own, with descriptors and a thread."""
+    """Each search has its own libusb context, with descriptors and a thread."""
     link = UsbLink(OURS)
     gc.disable()  # as in the servo
     try:

@@ -1,5 +1,5 @@
-"""Looks for the board with one link, as a daemon does: once per line of stdin. Says what it found
-in one line, the serial number or why not.
+"""Search for the board with one link, as a daemon does, once per line of stdin. Print the result in
+one line: the serial number or the reason of the failure.
 """
 
 import sys

@@ -1,5 +1,5 @@
-"""What a case does to its machine: plugs the board in and out, gives and takes rights, runs things
-as other people and in a network of their own.
+"""Actions of a case on its machine: plug and unplug the board, grant and revoke rights, run
+commands as other users and in a private network.
 """
 
 import json
@@ -20,7 +20,7 @@ UDEVD = "/lib/systemd/systemd-udevd"
 HERE = Path(__file__).parent
 LOOK = [sys.executable, str(HERE / "looker.py")]
 DEADLINE_S = 60.0
-GROUP = 60001  # hapticd, as `init` makes it
+GROUP = 60001  # hapticd, created by `init`
 UIDS = {"bob": 60002, "alice": 60003}
 GROUPS = {"bob": "60002,60001", "alice": "60003"}
 
@@ -41,7 +41,7 @@ def place() -> Path | None:
             if vendor.read_text().strip() == "1209":
                 return vendor.parent
         except OSError:
-            continue  # it left meanwhile
+            continue  # it has left
     return None
 
 
@@ -60,19 +60,19 @@ class Board:
         return json.loads(self.process.stdout.readline())
 
     def __call__(self, words: str) -> Any:
-        """Tell the process (board_process.py)."""
+        """Send a command to the process (board_process.py)."""
         assert self.process.stdin is not None
         self.process.stdin.write(words + "\n")
         self.process.stdin.flush()
         return self.reply()
 
     def plug(self) -> Path:
-        """Plug the board in as anybody does it; where the kernel has it."""
+        """Plug the board in; return its place in the kernel."""
         attach(self.address)
         return until(lambda: (found := place()) and configured(found), "the board at the bus")
 
     def unplug(self) -> None:
-        """The cable is pulled out, whatever is under way."""
+        """Pull the cable, also during a transfer."""
         if place() is not None:
             self("pull")
             until(lambda: place() is None, "the board has left the bus")
@@ -98,7 +98,7 @@ def attach(address: str) -> None:
 
 
 class Looker:
-    """Another process with a link of its own (looker.py), run as `around` makes it."""
+    """Another process with its own link (looker.py), with the command modified by `around`."""
 
     def __init__(self, around: Callable[[Sequence[str]], list[str]] = list) -> None:
         self.process = subprocess.Popen(
@@ -136,14 +136,16 @@ def have_udev(wanted: bool) -> None:
 
 
 def as_person(name: str) -> Callable[[Sequence[str]], list[str]]:
-    """Makes the command that runs one as bob or alice."""
+    """Return a function that makes a command run as bob or alice."""
     uid = str(UIDS[name])
     rights = ["setpriv", "--reuid", uid, "--regid", uid, "--groups", GROUPS[name]]
-    # the checkout may lie in a home that only root enters; a board has to be written to as well
+    # the checkout may be in a home that only root enters; the board has to be writable as well
     rights += ["--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search"]
     return lambda words: [*rights, *words]
 
 
 def in_own_network(words: Sequence[str]) -> list[str]:
-    """The command that runs `words` with a loopback and nothing else, as PrivateNetwork= does."""
+    """Return the command that runs `words` with a loopback interface only, as
+    PrivateNetwork= does.
+    """
     return ["unshare", "--net", "sh", "-c", 'ip link set lo up; exec "$@"', "sh", *words]

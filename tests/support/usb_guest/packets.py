@@ -12,7 +12,7 @@ def frame(seq: int = 0) -> "array[int]":
 
 
 def write(link: UsbLink, seq: int = 0) -> None:
-    """A frame, and time for it to arrive: these cases are no ticks."""
+    """Send a frame and wait until it arrives; these cases are not ticks."""
     link.write(frame(seq))
     link.drain()
 
@@ -24,7 +24,7 @@ def read(link: UsbLink) -> bytes:
 
 
 def answers(link: UsbLink) -> bool:
-    """A whole frame for a frame."""
+    """Return whether a frame is answered by a whole frame."""
     write(link)
     return len(read(link)) == frames.IN_BYTES
 

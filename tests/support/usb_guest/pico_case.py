@@ -1,5 +1,5 @@
-"""The image of the Pico in the emulator, plugged into a true usbcore: `python pico_case.py IMAGE`,
-run by tests/acceptance/pico/test_pico_kernel.py in a user-mode kernel. It says what it saw.
+"""The image of the Pico in the emulator, plugged into a real usbcore: `python pico_case.py IMAGE`.
+tests/acceptance/pico/test_pico_kernel.py runs it in a user-mode kernel. It prints its results.
 """
 
 import json
@@ -28,7 +28,7 @@ def plugged(address: str) -> Path:
 
 
 def exchange(in_flight: bool) -> dict[str, Any]:
-    """Frames over a link of its own."""
+    """Exchange frames over a separate link."""
     link = UsbLink(UsbParams(timeout_ms=USB.timeout_ms, in_flight=in_flight))
     link.open()
     serial = codec.decode_hello(link.request(Request.HELLO, frames.HELLO_BYTES)).serial
@@ -43,7 +43,9 @@ def exchange(in_flight: bool) -> dict[str, Any]:
 
 
 def lost(server: "subprocess.Popen[str]") -> bool:
-    """The processor hangs while frames are sent; whether the link tells that the board is lost."""
+    """Hang the processor while frames are sent; return whether the link reports the loss of the
+    board.
+    """
     link = UsbLink(USB)
     link.open()
     assert server.stdin is not None

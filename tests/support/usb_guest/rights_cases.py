@@ -1,5 +1,5 @@
-"""Who finds the board, and who gets it: late plugs, udev's rule, other owners, the kernel's own
-drivers. Run by `make test-usb` in a user-mode kernel (tests/acceptance/test_usb_stack.py).
+"""Access to the board: late plugs, udev's rule, other owners, the kernel's own drivers. Run by
+`make test-usb` in a user-mode kernel (tests/acceptance/test_usb_stack.py).
 """
 
 import stat
@@ -31,7 +31,7 @@ def test_rule_gives_the_board_to_the_group_and_to_nobody_else(board: Board) -> N
 
 
 def device_node() -> Path | None:
-    """Of the board, once udevd has given it to the group."""
+    """Return the node of the board, once udevd has set its group."""
     at = place()
     if at is None:
         return None
@@ -71,7 +71,7 @@ SURROUNDINGS = {
 
 @pytest.mark.parametrize("where", SURROUNDINGS)
 def test_board_that_is_plugged_in_late_and_again_is_found(where: str, any_board: Board) -> None:
-    """libusb learns of devices from udevd's messages; those reach no network of its own."""
+    """libusb learns of devices from udevd's messages; those do not reach a private network."""
     with_udev, own_network = SURROUNDINGS[where]
     have_udev(with_udev)
     with Looker(in_own_network if own_network else list) as other:
@@ -84,7 +84,7 @@ def test_board_that_is_plugged_in_late_and_again_is_found(where: str, any_board:
 
 
 def test_driver_of_the_kernel_gives_the_board_up(board: Board) -> None:
-    """The last case: what was told to the kernel's driver cannot be taken back."""
+    """The last case: a change to the kernel's driver cannot be undone."""
     Path("/sys/bus/usb-serial/drivers/generic/new_id").write_text("1209 0001\n")
     at = place()
     assert at is not None
