@@ -1,12 +1,13 @@
-/* The yardstick of the batch engine: the same scene by hand in C, for gcc -O3 -march=native.
+/* The reference for the batch engine: the same scene by hand in C, for gcc -O3 -march=native.
  *
- * Bodies, spring and circuits (STATES, the first two are position and velocity of the first body), Coulomb friction on that,
- * encoder in counts, the tick law with its two filters, clamp, force in counts, fractional delay; an exact map per sub-step,
- * SUBSTEPS to a 4 kHz sample, one 1 kHz tick = 4 samples. Which terms a sum has is known when this is compiled (FEEDS and so
- * on), as it is in the engine's kernel. LANES trials side by side, states in registers over a tick; sums of velocity squared,
- * work, its lowest value, ticks until divergence, largest command. The position of the first body keeps itself, others (APART)
- * are relative to it. A body that stood and sticks stays where it is. Positive force pushes to positive x; units SI. State rows: the states, the law's, the held force. Numbers
- * of `struct scene` come from the engine, so that both compute the same motion.
+ * Bodies, spring and circuits (STATES, the first two are position and velocity of the first body), Coulomb friction on
+ * it, encoder in counts, the tick law with its two filters, clamp, force in counts, fractional delay. An exact map per
+ * sub-step, SUBSTEPS to a 4 kHz sample, one 1 kHz tick = 4 samples. The terms of a sum are compile-time constants
+ * (FEEDS and so on), as in the engine's kernel. LANES trials run in parallel, with states in registers over a tick;
+ * sums of velocity squared, work, its lowest value, ticks until divergence, largest command. The position of the first
+ * body is integrated; others (APART) are relative to it. A body at rest that sticks keeps its position. Positive force
+ * pushes to positive x; units SI. State rows: the states, the law's, the held force. Numbers of `struct scene` come
+ * from the engine, so that both compute the same motion.
  */
 #include <math.h>
 

@@ -1,9 +1,9 @@
-/* The yardstick in C: detrend and `spa` of one record with FFTW, streaming, one thread, in double or float (REAL).
+/* The reference in C: detrend and `spa` of one record with FFTW, streaming, one thread, in double or float (REAL).
  *
- * Linear trends out in two passes, sections of `lag` samples padded to twice that, one real transform each (Rader 1970), four
- * complex sums, one inverse transform a covariance, Hann lag window, three transforms to the spectra. Plans are made once.
- * `spa_shared` is what many trials under one force need: the force's sections are transformed once by `spa_force`.
- * Each caller has buffers of its own, so that threads may run side by side.
+ * Removes linear trends in two passes. Sections of `lag` samples are padded to twice that, with one real transform each
+ * (Rader 1970). Then four complex sums, one inverse transform per covariance, Hann lag window, three transforms to the
+ * spectra. Plans are made once. `spa_shared` serves many trials under one force: `spa_force` transforms the force's
+ * sections once. Each caller has its own buffers, so that threads may run in parallel.
  */
 #include <fftw3.h>
 #include <math.h>
@@ -121,7 +121,7 @@ void spa_reference(const REAL *force, const REAL *velocity, long n, REAL *out)
     spectrum(sums + size, sums + 2 * size, n, out + 2 * size);
 }
 
-/* Transforms of all sections of `force` and of the nothing after it, each lag + 1 complex values, into `table`. */
+/* Transforms of all sections of `force`, zero-padded at the end, each lag + 1 complex values, into `table`. */
 void spa_force(const REAL *force, long n, REAL *table)
 {
     double value, slope;

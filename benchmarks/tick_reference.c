@@ -1,6 +1,6 @@
-/* The yardstick in C: everything the servo's tick does between two transfers, with the same frames, stages and record.
+/* The reference in C: all work of the servo's tick between two transfers, with the same frames, stages and record.
  *
- * Check the IN frame (CRC, axis, count, sequence, echo, board time), look for commands, stop and heartbeat, K-B-M with both
+ * Check the IN frame (CRC, axis, count, sequence, echo, board time), read commands, stop and heartbeat, K-B-M with both
  * filters, wall and ends, limit, count, energy ledger, OUT frame with CRC, the whole record, head and heartbeat.
  */
 #include <math.h>
@@ -9,11 +9,11 @@
 #include <time.h>
 
 #include "hapticd_wire.h"
-#include "record.h" /* made from the table of hapticd/mailbox/layout.py when this is compiled */
+#include "record.h" /* generated from the table of hapticd/mailbox/layout.py for the compilation */
 
 enum { SLOTS = 8192, FLAG_CLAMPED = 32 };
 
-/* what the servo holds between ticks; filled by tick_worker.py in this order */
+/* state of the servo between ticks; filled by tick_worker.py in this order */
 struct servo {
     double law[6], environment[12], coefficients[10];
     double work, excess, newer, older, oldest, elastic, velocity;
@@ -28,7 +28,7 @@ const int record_bytes = sizeof(struct record);
 const int servo_bytes = sizeof(struct servo);
 static uint16_t table[256];
 static struct hapticd_out wire;
-static volatile uint64_t words[256]; /* stands for the mailbox: stop, command head and tail, beats, ring head */
+static volatile uint64_t words[256]; /* mailbox: stop, command head and tail, beats, ring head */
 
 static int64_t now_ns(void)
 {
@@ -105,7 +105,7 @@ static void book(struct servo *s, struct record *r, int damping)
     s->oldest = s->older, s->older = s->newer, s->newer = r->force_n, s->elastic = elastic, s->velocity = v;
 }
 
-/* `count` ticks over as many IN frames into `ring`; 0, or the number of the frame that was refused, counted from 1 */
+/* `count` ticks over as many IN frames into `ring`; 0, or the number of the first invalid frame, counted from 1 */
 int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int count)
 {
     int32_t publish = 0, least = 1 << 30, most = 0, spread = 0;

@@ -1,9 +1,9 @@
-/* Wakes that come a whole period late or more, as cyclictest counts them, where rt-tests is missing.
+/* Wakes that are late by a period or more, counted as by cyclictest, where rt-tests is missing.
  *
  *     wakes PRIORITY CORE PERIOD_US SAMPLES
  *
- * It sleeps to absolute deadlines with clock_nanosleep, at SCHED_FIFO, on one core, memory locked.
- * Deadlines that have passed are dropped. Prints the number of late wakes.
+ * It sleeps to absolute deadlines with clock_nanosleep, at SCHED_FIFO, on one core, with memory
+ * locked. Passed deadlines are dropped. Prints the number of late wakes.
  */
 #define _GNU_SOURCE
 #include <sched.h>

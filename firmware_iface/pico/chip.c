@@ -66,8 +66,8 @@ uint32_t chip_clock_us(void)
     return TIMER_RAWL;
 }
 
-/* The alarm compares for equality: a time that has passed before it was set would wait for the
- * wrap of the clock, so the interrupt is then made pending by hand. */
+/* The alarm compares for equality: a time that passed before it was set would match only after the
+ * wrap of the clock. The interrupt is then set pending by hand. */
 void chip_alarm_in(uint32_t us)
 {
     uint32_t due_us = TIMER_RAWL + us;
@@ -95,7 +95,7 @@ void chip_watchdog_feed(uint32_t us)
     WATCHDOG_LOAD = 2 * us; /* RP2040-E1: it counts down twice a tick */
 }
 
-/* --- what differs from start to start, and from chip to chip ---------------------------------- */
+/* --- differences between starts, and between chips -------------------------------------------- */
 
 uint8_t chip_next_life(void)
 {

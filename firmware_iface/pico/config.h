@@ -1,4 +1,4 @@
-/* config.h - what this very board is. Each value may be set on the compiler's command line. */
+/* config.h - the properties of this board. Each value may be set on the compiler's command line. */
 #ifndef CONFIG_H
 #define CONFIG_H
 
@@ -12,7 +12,7 @@
 #define DAMPING_PART DAC8812
 #endif
 
-/* nominal full scales, as HELLO states them; the device file on the host holds the measured ones */
+/* nominal full scales of HELLO; the device file on the host has the measured ones */
 #ifndef FORCE_FULL_SCALE_N
 #define FORCE_FULL_SCALE_N 8.0f
 #endif
@@ -26,7 +26,7 @@
 #define POSITION_M_PER_COUNT 0.5e-6f
 #endif
 
-/* not measured by this board: the fields are 0, but a full scale has to be a number */
+/* not measured by this board: the fields are 0, but a full scale must be a number */
 #define PROBE_TORQUE_FULL_SCALE_N 2.0f
 #define PROBE_VELOCITY_FULL_SCALE_M_S 2.0f
 #define CURRENT_FULL_SCALE_A 10.0f

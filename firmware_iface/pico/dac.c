@@ -1,6 +1,6 @@
-/* dac.c - see dac.h. Words go out at 15.6 MHz in bytes; the select pin frames them, so that it is
- * high before the next one begins, whatever the length of a word. Two parts may want two edges of
- * the clock, so each word sets the one of its part; the clock idles low for all of them.
+/* dac.c - see dac.h. Words are sent at 15.6 MHz in bytes. The select pin frames them, so that it is
+ * high before the next one begins, for any length of a word. Two parts may need different edges of
+ * the clock, so each word sets its edge; the clock idles low for all of them.
  */
 #include "dac.h"
 
@@ -27,7 +27,7 @@ static const struct socket torque = {&dac_parts[DAC_PART], 1u << PIN_DAC_SELECT}
 static const struct socket damping = {
     &dac_parts[DAMPING_PART], 1u << (ONE_PART ? PIN_DAC_SELECT : PIN_DAMPING_SELECT)};
 
-/* 4.4.3: it is set up while it is off. */
+/* 4.4.3: it is configured while it is off. */
 static void spi_start(uint32_t mode)
 {
     SPI_CR1 = 0;

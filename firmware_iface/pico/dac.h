@@ -4,17 +4,17 @@
 
 #include <stdint.h>
 
-/* No torque, no damping, no trim; then what the part of the torque needs to start. */
+/* No torque, no damping, no trim; then the start word of the torque DAC. */
 void dac_start(void);
 
 void dac_set_torque(int16_t count);
 
-/* No torque. The part starts again if its own supply has come, or come back, since. */
+/* No torque. The part starts again if its own supply has been switched on since. */
 void dac_rest(void);
 
 void dac_set_damping(uint16_t count);
 
-/* Nothing where the part of the damping has no channel for it. */
+/* No effect if the damping DAC has no channel for it. */
 void dac_set_resistance(int16_t count);
 
 #endif

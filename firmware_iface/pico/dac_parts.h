@@ -1,5 +1,5 @@
-/* dac_parts.h - the two-channel DACs that may be soldered, and what they are sent. No register of
- * the chip is met here, so a PC compiles it too.
+/* dac_parts.h - the supported two-channel DACs, and their words. It uses no register of the chip,
+ * so a PC compiles it too.
  *
  * Of a part that makes voltages, channel A is torque around mid-scale and B the scale factor of the
  * damping. Of one that multiplies, A is the scale factor and B the resistance trim.
@@ -16,8 +16,8 @@ struct dac_part {
     uint8_t bits;            /* of a code */
     uint8_t bytes;           /* of a word, sent high byte first */
     uint8_t spi_mode;        /* polarity << 1 | phase */
-    bool damping_upper_half; /* no damping is mid-scale: where the part powers up */
-    uint32_t torque_word;    /* what is sent with the code in its low bits; 0: no such channel */
+    bool damping_upper_half; /* zero damping is mid-scale, the output at power-up */
+    uint32_t torque_word;    /* sent with the code in its low bits; 0: no such channel */
     uint32_t damping_word;
     uint32_t resistance_word;
     uint32_t start_word;     /* sent behind a torque of 0 while there is no authority; 0: nothing */

@@ -1,10 +1,10 @@
 /* encoder.c - see encoder.h; PIO instructions are those of 3.4.
  *
- * Register X is the count. Each round of at most 10 cycles pushes it, and puts the last and the
- * present state of the pins together to the address that goes on: (last BA, now BA) is 0 to 15.
- * PIO cannot increment, so up is ~(~x - 1). A step by two states raises flag 0.
+ * Register X is the count. Each round of at most 10 cycles pushes it. Then the last and the present
+ * state of the pins form the address of the next jump: (last BA, now BA) is 0 to 15. PIO cannot
+ * increment, so up is ~(~x - 1). A step by two states raises flag 0.
  *
- * What would break it: a program that does not start at address 0.
+ * Limitations: the program must start at address 0.
  */
 #include "encoder.h"
 
@@ -66,7 +66,7 @@ void encoder_start(void)
     PIO_CTRL = 1;
 }
 
-/* The FIFO holds what was pushed while there was room: old. One more than it holds is fresh. */
+/* The FIFO holds old values, pushed while there was room. The value after them is fresh. */
 int32_t encoder_count(void)
 {
     uint32_t old = RX_LEVEL;
@@ -79,7 +79,7 @@ int32_t encoder_count(void)
     return (int32_t)count;
 }
 
-/* A flag that comes after it was read stays for the next time. */
+/* A flag raised after the read stays for the next call. */
 bool encoder_skipped(void)
 {
     const bool skipped = PIO_IRQ & 1;

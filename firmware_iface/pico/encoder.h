@@ -5,13 +5,13 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Count from 0 at the present position. */
+/* Start to count from 0 at the present position. */
 void encoder_start(void);
 
-/* The count at this moment; wraps. */
+/* Return the present count; wraps. */
 int32_t encoder_count(void);
 
-/* Whether A and B changed at once since the last call: edges were lost. */
+/* Return whether A and B changed at once since the last call: edges were lost. */
 bool encoder_skipped(void);
 
 #endif

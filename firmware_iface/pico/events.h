@@ -4,13 +4,13 @@
 
 #include <stdint.h>
 
-/* The levels at this moment: bit 0 is PIN_EVENT_FIRST; bits without a pin are 0. */
+/* Return the present levels: bit 0 is PIN_EVENT_FIRST; bits without a pin are 0. */
 uint16_t events_read(void);
 
-/* Each edge of these pins interrupts from now on. */
+/* Enable the interrupt at each edge of these pins. */
 void events_watch(void);
 
-/* The edges that interrupted have been seen; call it before the levels are read. */
+/* Acknowledge the edges that interrupted; call it before the levels are read. */
 void events_acknowledge(void);
 
 #endif

@@ -1,7 +1,7 @@
-/* flash_id.c - command 4Bh of the flash (W25Q16JV 8.2.31): four bytes are ignored, eight are told.
+/* flash_id.c - command 4Bh of the flash (W25Q16JV 8.2.31): four bytes are ignored, eight are read.
  *
- * The SSI selects the chip as long as its FIFO of 16 bytes is not empty, so all 13 bytes go in at
- * once; nothing may interrupt that.
+ * The SSI selects the chip as long as its FIFO of 16 bytes is not empty, so all 13 bytes are
+ * written at once; no interrupt may occur between them.
  */
 #include "flash_id.h"
 

@@ -31,7 +31,7 @@ static void alarm_at_next_event(void)
     chip_alarm_in(hapticd_board_wait_us(&board));
 }
 
-/* The one place that feeds the watchdog. */
+/* The only function that feeds the watchdog. */
 static void serve(void)
 {
     usb_collect();
@@ -71,7 +71,7 @@ int usb_on_vendor(const struct usb_setup *setup, uint8_t *reply)
                                  setup->index, setup->length, reply);
 }
 
-/* A board that fails its self-test stays as it is: outputs off, not connected, dark. */
+/* A board that fails its self-test stays off: outputs off, not connected, no light. */
 int main(void)
 {
     char serial[FLASH_SERIAL_LENGTH];

@@ -1,4 +1,4 @@
-/* pins.h - what is connected to which GPIO; docs/pico.md has the wiring. */
+/* pins.h - the connections of the GPIOs; docs/pico.md has the wiring. */
 #ifndef PINS_H
 #define PINS_H
 
@@ -6,7 +6,7 @@
 #define PIN_ENCODER_B 3 /* the pin after A: the PIO program reads both at once */
 #define PIN_EVENT_FIRST 4
 #define PIN_EVENT_COUNT 8
-/* 12 to 15 are SPI1: left free for a sampling ADC */
+/* 12 to 15 are SPI1, reserved for a sampling ADC */
 #define PIN_DAMPING_SELECT 16
 #define PIN_DAC_SELECT 17
 #define PIN_DAC_CLOCK 18

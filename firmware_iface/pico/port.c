@@ -1,4 +1,4 @@
-/* port.c - see port.h. docs/development/porting-firmware.md says what each function must do. */
+/* port.c - see port.h. docs/development/porting-firmware.md specifies each function. */
 #include "port.h"
 
 #include <string.h>

@@ -1,4 +1,4 @@
-/* port.h - the hardware behind the reference firmware, and what this board tells of itself. */
+/* port.h - the hardware behind the reference firmware, and the properties of this board. */
 #ifndef PORT_H
 #define PORT_H
 
@@ -6,10 +6,10 @@
 
 extern const struct hapticd_port port;
 
-/* Pins as they have to be, the amplifier off before it is an output; DAC and encoder run. */
+/* Set up all pins, with the amplifier off before its pin is an output; start DAC and encoder. */
 void port_start(void);
 
-/* HELLO and limits of config.h, with the serial number of 16 characters. */
+/* Return HELLO and limits of config.h, with the serial number of 16 characters. */
 const struct hapticd_config *port_config(const char *serial);
 
 #endif

@@ -1,5 +1,5 @@
-/* start.c - vector tables, and the way from the boot stage to main: copy all to RAM, clear the
- * rest, go there.
+/* start.c - vector tables, and the path from the boot stage to main: copy all to RAM, clear the
+ * rest, jump there.
  */
 #include "pins.h"
 #include "rp2040.h"
@@ -34,8 +34,8 @@ __attribute__((section(".vectors"), used)) static const union vector vectors[16 
     NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE,
     NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE, NONE};
 
-/* A fault of the processor, or an interrupt that is not enabled. The amplifier goes off now, the
- * watchdog starts the chip again; a debugger stops here. */
+/* A fault of the processor, or an interrupt that is not enabled. The amplifier goes off now, and
+ * the watchdog restarts the chip; a debugger stops here. */
 void unexpected(void)
 {
     SIO_GPIO_OUT_CLR = 1u << PIN_AMPLIFIER_ENABLE;

@@ -1,13 +1,13 @@
 /* usb.c - see usb.h: the bulk endpoints, and the interrupt of the controller (4.1).
  *
- * What would break it: an interrupt between two functions of this file.
+ * Limitations: no interrupt may occur between two functions of this file.
  */
 #include "usb.h"
 
 #include "chip.h"
 #include "usb_dpram.h"
 
-#define ENDPOINT_BULK (1u << 31 | 1u << 29 | 2u << 26) /* enabled, an interrupt a buffer, bulk */
+#define ENDPOINT_BULK (1u << 31 | 1u << 29 | 2u << 26) /* enabled, one interrupt per buffer, bulk */
 #define INT_BUFFERS (1u << 4)
 #define INT_BUS_RESET (1u << 12)
 #define INT_SETUP (1u << 16)
@@ -21,15 +21,15 @@
 
 static bool configured;
 static bool in_halted, out_halted;
-static bool in_armed;            /* the host may take a packet */
-static bool superseded;          /* which is not the newest */
+static bool in_armed;            /* the host may read a packet */
+static bool superseded;          /* it is not the newest */
 static uint32_t in_pid, out_pid; /* of the next packet: 0 or DATA1 */
 static bool cannot_abort;        /* RP2040-E2 */
 
 /* --- IN --------------------------------------------------------------------------------------- */
 
-/* The application takes a report for one of the packet that it sent last, and forgets what that
- * carries. So an older one is not reported. */
+/* The application treats a report as that of its last packet and discards the contents. An older
+ * packet is therefore not reported. */
 static void in_passed(void)
 {
     in_armed = false;
@@ -39,7 +39,7 @@ static void in_passed(void)
     superseded = false;
 }
 
-/* The host gets NAK while the buffer changes hands. A packet may still have passed. */
+/* The host gets NAK while the buffer is reclaimed. A packet may still have passed. */
 static void take_back(void)
 {
     const uint32_t bit = BIT(1, USB_IN);
@@ -84,7 +84,7 @@ static void out_arm(void)
     out_pid ^= DATA1;
 }
 
-/* The buffer is free for the next packet before this one is worked on. */
+/* The buffer is free for the next packet before this one is processed. */
 static void out_passed(void)
 {
     uint8_t packet[USB_PACKET];
@@ -100,7 +100,7 @@ static void out_passed(void)
 
 /* --- both ------------------------------------------------------------------------------------- */
 
-/* The host leaves an endpoint alone while it changes the state of it, so no abort is needed. */
+/* The host does not use an endpoint while it changes its state, so no abort is needed. */
 static void in_begin(bool halt)
 {
     BUFFER(1, USB_IN) = halt ? STALL : 0;
@@ -158,7 +158,7 @@ static void bus_reset(void)
     control_reset();
 }
 
-/* BUFF_STATUS is acknowledged before the handlers: what they arm may pass meanwhile. */
+/* BUFF_STATUS is acknowledged before the handlers: buffers that they arm may pass meanwhile. */
 static void buffers_passed(void)
 {
     const uint32_t passed = USB_BUFF_STATUS;
@@ -192,7 +192,7 @@ void usb_start(const char *serial)
     cannot_abort = chip_older_than_b2();
     control_start(serial);
     USB_MUXING = MUXING_TO_PHY;
-    USB_PWR = PWR_VBUS_DETECTED; /* the chip lives from it */
+    USB_PWR = PWR_VBUS_DETECTED; /* the chip is powered from it */
     USB_MAIN_CTRL = CONTROLLER_ENABLE;
     REG(USB_SIE_CTRL) = SIE_EP0_INTERRUPT;
     USB_INTE = INT_BUFFERS | INT_BUS_RESET | INT_SETUP;

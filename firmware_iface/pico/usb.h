@@ -22,11 +22,11 @@ struct usb_setup { /* USB 2.0, 9.3 */
  * interrupt USBCTRL calls usb_on_out, usb_on_taken and usb_on_vendor. */
 void usb_start(const char *serial);
 
-/* The IN endpoint holds this packet from now on, in the place of one that was not taken. Silicon
- * older than B2 cannot take one back: there the new one is dropped. */
+/* The IN endpoint holds this packet from now on; it replaces an unread one. Silicon older than B2
+ * cannot reclaim a buffer: there the new packet is dropped. */
 void usb_send(const void *data, uint32_t size);
 
-/* Call usb_on_taken now if a packet was taken and the interrupt for it is still to come. */
+/* Call usb_on_taken now if a packet was read and its interrupt is still pending. */
 void usb_collect(void);
 
 /* --- of the application ----------------------------------------------------------------------- */
@@ -34,7 +34,7 @@ void usb_collect(void);
 void usb_on_out(const uint8_t *data, uint32_t size);
 void usb_on_taken(void);
 
-/* A vendor request without data from the host: bytes put into `reply`, or USB_STALL. */
+/* A vendor request without data from the host. Returns the bytes in `reply`, or USB_STALL. */
 int usb_on_vendor(const struct usb_setup *setup, uint8_t *reply);
 
 #endif

@@ -1,7 +1,7 @@
 /* usb_control.c - endpoint 0: descriptors, standard requests (USB 2.0, 9.4), vendor requests.
  *
- * No request that the board knows brings data from the host: a transfer is data to the host and an
- * empty OUT, or an empty IN alone.
+ * No supported request has data from the host: a transfer is data to the host and an empty OUT, or
+ * only an empty IN.
  */
 #include <stddef.h>
 
@@ -51,10 +51,10 @@ static char serial_number[USB_SERIAL_MAX + 1];
 static uint8_t reply[USB_REPLY_MAX];
 static const uint8_t *data_left;
 static uint32_t bytes_left;
-static bool empty_packet;   /* ends data that fill their last packet and are fewer than asked */
+static bool empty_packet;   /* ends short data that fill their last packet */
 static bool status_out;     /* the transfer ends with an empty OUT */
 static uint32_t pid;
-static uint8_t new_address; /* holds once the status of SET_ADDRESS has passed */
+static uint8_t new_address; /* valid once the status of SET_ADDRESS has passed */
 
 /* --- replies ---------------------------------------------------------------------------------- */
 
@@ -165,7 +165,7 @@ static int feature(const struct usb_setup *setup)
     return 0;
 }
 
-/* Bytes of `data`, or USB_STALL. */
+/* Return the bytes of `data`, or USB_STALL. */
 static int standard(const struct usb_setup *setup, const uint8_t **data)
 {
     switch (setup->request) {
@@ -192,9 +192,9 @@ static int standard(const struct usb_setup *setup, const uint8_t **data)
     }
 }
 
-/* --- what usb.c calls ------------------------------------------------------------------------- */
+/* --- called by usb.c -------------------------------------------------------------------------- */
 
-/* A new transfer ends whatever the last one left. */
+/* A new transfer ends an incomplete one. */
 void control_setup(void)
 {
     const uint32_t low = SETUP_LOW;

@@ -1,7 +1,7 @@
-/* usb_dpram.h - memory of the USB controller (4.1.2.5): what usb.c and usb_control.c share.
+/* usb_dpram.h - memory of the USB controller (4.1.2.5), shared by usb.c and usb_control.c.
  *
- * A buffer is the controller's while AVAILABLE is set in its control word, and comes back with a
- * bit in BUFF_STATUS. DATA0 and DATA1 alternate by the firmware's doing.
+ * The controller owns a buffer while AVAILABLE is set in its control word. It returns the buffer
+ * with a bit in BUFF_STATUS. The firmware alternates DATA0 and DATA1.
  */
 #ifndef USB_DPRAM_H
 #define USB_DPRAM_H
@@ -15,7 +15,7 @@ enum usb_direction { USB_IN, USB_OUT };
 #define SETUP_HIGH REG(USB_DPRAM + 4u)
 #define ENDPOINT(ep, direction) REG(USB_DPRAM + 8u * (ep) + 4u * (direction))
 #define BUFFER(ep, direction) REG(USB_DPRAM + 0x80u + 8u * (ep) + 4u * (direction))
-#define CONTROL_BUFFER 0x100u /* where the controller has it */
+#define CONTROL_BUFFER 0x100u /* its place in the controller */
 #define OUT_BUFFER 0x180u
 #define IN_BUFFER 0x1c0u
 
@@ -33,8 +33,8 @@ enum usb_direction { USB_IN, USB_OUT };
 #define ADDRESS_IN 0x81u /* of the two endpoints */
 #define ADDRESS_OUT 0x01u
 
-/* The controller looks at the word with its own clock of 48 MHz: AVAILABLE has to come later than
- * the rest, by at least a cycle of it (4.1.2.5.4). Six branches are 12 cycles of the processor. */
+/* The controller reads the word with its own clock of 48 MHz: AVAILABLE must follow the rest by
+ * at least one of its cycles (4.1.2.5.4). Six branches are 12 cycles of the processor. */
 static inline void buffer_arm(uint32_t ep, enum usb_direction direction, uint32_t control)
 {
     BUFFER(ep, direction) = control;

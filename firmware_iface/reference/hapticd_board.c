@@ -1,16 +1,16 @@
 /* hapticd_board.c - see hapticd_board.h.
  *
- * What acts, in this order: what is due at a time happens at its time, also before an OUT that came
- * at that very time; at one instant an interval ends before the watchdog trips, and both before an
- * IN is latched, which therefore shows them. An OUT acts on receipt.
+ * Order of actions: a due event happens at its time, also before an OUT that arrived at the same
+ * time. At one instant an interval ends before the watchdog trips, and both precede the latch of an
+ * IN, which therefore contains them. An OUT acts on receipt.
  *
- * Torque has one gate. `cut_torque` closes it, and everything that may close it calls it at once:
- * the watchdog, a fault, the emergency stop, an amplifier that is not ready, an OUT without ENABLE.
- * Only an OUT with ENABLE opens it again (`obey`), so nothing comes back by itself. The clamp lies
- * behind every decision, next to the DAC.
+ * Torque has one gate. `cut_torque` closes it, and every cause calls it at once: the watchdog, a
+ * fault, the emergency stop, an amplifier that is not ready, an OUT without ENABLE. Only an OUT
+ * with ENABLE opens it again (`obey`), so torque never returns by itself. The clamp is the last
+ * step before the DAC.
  *
- * What would break it: an entry that interrupts another; a clock that stops; a service that comes
- * later than an interval (pairs are then lost, and said to be; the watchdog is as late).
+ * Limitations: an entry that interrupts another; a clock that stops; a service that comes later
+ * than an interval (pairs are then lost and the loss is reported; the watchdog is as late).
  */
 #include "hapticd_board.h"
 
@@ -28,7 +28,7 @@
     (HAPTICD_STATUS_OVER_TEMPERATURE | HAPTICD_STATUS_AMPLIFIER_FAULT |                            \
      HAPTICD_STATUS_ENCODER_FAULT)
 
-/* the compiler must not have put padding into the frames */
+/* the compiler must not add padding to the frames */
 typedef char out_has_its_size[sizeof(struct hapticd_out) == HAPTICD_OUT_BYTES ? 1 : -1];
 typedef char in_has_its_size[sizeof(struct hapticd_in) == HAPTICD_IN_BYTES ? 1 : -1];
 typedef char hello_has_its_size[sizeof(struct hapticd_hello) == HAPTICD_HELLO_BYTES ? 1 : -1];
@@ -44,7 +44,7 @@ static uint16_t crc16(const uint8_t *data, size_t size)
     return crc;
 }
 
-/* Whether `now` is at or after `due`; right across the wrap of the clock. */
+/* Return whether `now` is at or after `due`; correct across the wrap of the clock. */
 static bool reached(uint32_t now_us, uint32_t due_us)
 {
     return (int32_t)(now_us - due_us) >= 0;
@@ -91,7 +91,7 @@ static void damp(struct hapticd_board *board, uint16_t count)
     board->port->set_damping(board->port->device, count);
 }
 
-/* Whether torque may act at all, as the inputs were read last. */
+/* Return whether torque may act, by the last read of the inputs. */
 static bool permitted(const struct hapticd_board *board)
 {
     bool ready = board->inputs & HAPTICD_STATUS_AMPLIFIER_READY ||
@@ -107,7 +107,7 @@ static void look_at_inputs(struct hapticd_board *board, uint32_t now_us)
         cut_torque(board, now_us);
 }
 
-/* --- the watchdog: one alarm, which is first its time-out and then each step of the release --- */
+/* --- the watchdog: one alarm, for its time-out and then for each step of the release ---------- */
 
 static void feed(struct hapticd_board *board, uint32_t now_us)
 {
@@ -149,7 +149,7 @@ static void end_interval(struct hapticd_board *board, uint32_t now_us)
         board->events |=
             hapticd_probe_miss(probe, (now_us - probe->start_us) / HAPTICD_INTERVAL_US);
     port->set_perturbation(port->device, probe->sample);
-    /* an age that has reached its end stays there, however often the clock wraps meanwhile */
+    /* an age at its maximum stays there, however often the clock wraps */
     if (now_us - board->torque_since_us > HAPTICD_AGE_MAX_US)
         board->torque_since_us = now_us - HAPTICD_AGE_MAX_US;
     hapticd_events_grow_old(&board->pins, now_us);
@@ -179,8 +179,8 @@ static uint16_t levels(const struct hapticd_board *board)
     return status | board->faults;
 }
 
-/* The index mark as this frame has to say it: relative to its own encoder count. One that lies
- * further back than 16 bits reach is not said, rather than said wrong. */
+/* The index mark of this frame, relative to its own encoder count. A mark beyond the range of 16
+ * bits is omitted, because its value would be wrong. */
 static int16_t index_offset(struct hapticd_board *board, const struct hapticd_sensors *sensors)
 {
     if (sensors->index_passed && able(board, HAPTICD_CAPABILITY_INDEX)) {
@@ -221,7 +221,7 @@ static void drop_latch(struct hapticd_board *board)
     board->latches--;
 }
 
-/* Everything that the frame says is of this instant. */
+/* All values of the frame are of this instant. */
 static void latch(struct hapticd_board *board)
 {
     struct hapticd_in *frame = &board->frame;
@@ -272,7 +272,7 @@ void hapticd_board_taken(struct hapticd_board *board)
     hapticd_events_taken(&board->pins, board->frame.event_seq);
 }
 
-/* In the order of their OUTs, also when the phase was made shorter in between. */
+/* In the order of their OUTs, also if the phase was shortened in between. */
 static void schedule_latch(struct hapticd_board *board, uint32_t now_us)
 {
     uint32_t due_us = now_us + board->phase_us;
@@ -285,9 +285,10 @@ static void schedule_latch(struct hapticd_board *board, uint32_t now_us)
     board->latches++;
 }
 
-/* --- what is due ------------------------------------------------------------------------------ */
+/* --- due actions ------------------------------------------------------------------------------ */
 
-/* Whether the alarm comes before the end of the running interval; together the interval is first. */
+/* Return whether the alarm precedes the end of the running interval; at equal times the interval is
+ * first. */
 static bool alarm_first(const struct hapticd_board *board)
 {
     return board->alarm_set &&
@@ -299,7 +300,7 @@ static uint32_t next_event_us(const struct hapticd_board *board)
     return alarm_first(board) ? board->alarm_us : board->probe.start_us + HAPTICD_INTERVAL_US;
 }
 
-/* INs are latched last: what they say is of now, so all that is due by now has happened before. */
+/* INs are latched last: their values are of now, after all due actions. */
 void hapticd_board_service(struct hapticd_board *board)
 {
     uint32_t now_us = clock_us(board);
@@ -416,7 +417,7 @@ int hapticd_board_control(struct hapticd_board *board, uint8_t request_type, uin
 
 /* --- boot ------------------------------------------------------------------------------------- */
 
-/* What a wrong compiler, processor or table would break. The one place with floating point. */
+/* Detect a wrong compiler, processor or table. The only function with floating point. */
 static bool self_test(const struct hapticd_config *config)
 {
     const struct hapticd_hello *hello = &config->hello;

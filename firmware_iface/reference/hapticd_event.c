@@ -1,4 +1,4 @@
-/* hapticd_event.c - see hapticd_event.h. Numbers wrap after 256 events, which the ring divides. */
+/* hapticd_event.c - see hapticd_event.h. Numbers wrap after 256 events, a multiple of the ring. */
 #include "hapticd_event.h"
 
 #include <string.h>
@@ -8,7 +8,7 @@ static uint8_t shown(const struct hapticd_events *events)
     return (uint8_t)(events->newest - events->held + 1);
 }
 
-/* The oldest event gives way to the one after it. */
+/* Drop the oldest event. */
 static void advance(struct hapticd_events *events)
 {
     events->held--;

@@ -47,7 +47,7 @@ void hapticd_probe_silence(struct hapticd_probe *probe, uint32_t now_us)
     probe->sample = 0;
 }
 
-/* A sample that may not act is used up all the same: the host counts on the FIFO's pace. */
+/* A sample that may not act is consumed too: the host relies on the FIFO's rate. */
 static int16_t next_sample(struct hapticd_probe *probe, bool live)
 {
     int16_t sample = probe->fifo[probe->oldest];

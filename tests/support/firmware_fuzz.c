@@ -1,9 +1,8 @@
-/* Drives the reference firmware at random and holds it to what a board promises, whatever the host,
- * the hardware and the clock do: firmware_fuzz STEPS SEED. It knows nothing of how the firmware
- * works: only what went in, what stands at the outputs, and what the frames say. Unlike the
- * simulated board its hardware contradicts itself (a stop pressed while the amplifier is ready),
- * comes late, passes index marks and is configured wrongly. Ends with status 1 at the first broken
- * promise, and with the numbers of what it met. */
+/* Drives the reference firmware at random and checks the promises of a board, for any behaviour of the host, the
+ * hardware and the clock: firmware_fuzz STEPS SEED. It uses only inputs, outputs and frames, not the internals of the
+ * firmware. Unlike the simulated board, its hardware contradicts itself (a stop pressed while the amplifier is ready),
+ * is late, passes index marks and may be configured wrongly. Exits with status 1 at the first broken promise, and
+ * prints its counts. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,14 +21,14 @@ static struct {
     uint16_t inputs;
     struct hapticd_sensors sensors;
     uint16_t event_code;
-    bool authority; /* what stands at the outputs */
+    bool authority; /* state of the outputs */
     int16_t torque, perturbation, resistance;
     uint16_t damping;
     struct hapticd_in frame; /* the newest */
     bool sent;
 } world;
 
-static struct { /* what was promised */
+static struct { /* promised state */
     uint64_t born_us, fed_us, measured_us;
     bool asked, tripped;
     uint16_t damping;
@@ -39,16 +38,16 @@ static struct { /* what was promised */
     uint32_t next_pair;
     int32_t mark;
     bool passed;        /* the index mark, since the last IN */
-    bool bad, bad_said; /* an OUT was refused since the last IN; the newest IN says so */
+    bool bad, bad_said; /* an OUT was refused since the last IN; the newest IN reports it */
     unsigned owed; /* INs */
-    struct {       /* what was at the event pins, by the number of the event */
+    struct {       /* state of the event pins, by the number of the event */
         uint16_t code;
         uint64_t at_us;
-        unsigned taken; /* frames that said so */
+        unsigned taken; /* frames that reported it */
     } event[256];
-    bool born;             /* the pins have been looked at */
+    bool born;             /* the pins have been read */
     uint8_t newest, shown; /* numbers of events */
-    bool may_skip;         /* the oldest were lost, or no host was there to see them */
+    bool may_skip;         /* the oldest were lost, or no host was connected */
 } host;
 
 static struct hapticd_board board;
@@ -185,14 +184,14 @@ static const struct hapticd_port port = {
     event_code,
 };
 
-/* --- what is promised --------------------------------------------------------------------------- */
+/* --- promises --------------------------------------------------------------------------------- */
 
 static uint64_t since_fed(void)
 {
     return world.now_us - host.fed_us;
 }
 
-/* What holds from now on, whether the firmware has been called or is about to be. */
+/* Record the promised state, before or after a call of the firmware. */
 static void notice(void)
 {
     host.latched |= world.inputs & CAUSES;
@@ -202,7 +201,7 @@ static void notice(void)
     }
 }
 
-/* The firmware has just looked at everything. */
+/* Check the promises just after the firmware has read all inputs. */
 static void judge(void)
 {
     bool needs_ready = able(HAPTICD_CAPABILITY_AMPLIFIER_READY);
@@ -237,7 +236,7 @@ static void serve(void)
     judge();
 }
 
-/* Let time go on; punctually, or with one service at its end, as late as `wait_us`. */
+/* Advance the time; punctually, or with one service at its end, as late as `wait_us`. */
 static void pass(uint32_t wait_us, bool punctual)
 {
     uint64_t until_us = world.now_us + wait_us;
@@ -249,7 +248,7 @@ static void pass(uint32_t wait_us, bool punctual)
     serve();
 }
 
-/* --- what is done to it ------------------------------------------------------------------------- */
+/* --- actions ---------------------------------------------------------------------------------- */
 
 static void boot(void)
 {
@@ -306,7 +305,7 @@ static struct hapticd_out good(void)
     return out;
 }
 
-/* Make of a frame one that a board refuses. */
+/* Change a frame into one that a board refuses. */
 static void damage(uint8_t *data, size_t *size)
 {
     static const uint8_t at[] = {2, 3, 10, 11, 24, 29};
@@ -352,7 +351,7 @@ static void send_out(bool whole)
     if (draw(2))
         serve();
     notice();
-    /* exactly as long as the packet, for the sanitizer to see every byte beyond */
+    /* exactly as long as the packet, so that the sanitizer detects every access beyond it */
     uint8_t *packet = malloc(size ? size : 1);
     if (!packet)
         exit(2);
@@ -401,7 +400,7 @@ static void ask(void)
         host.latched = world.inputs & CAUSES;
 }
 
-/* Hardware that says anything; the firmware is told of it at once, or finds it out. */
+/* Change the hardware at random; the firmware is notified at once, or detects it later. */
 static void disturb(void)
 {
     static const uint16_t bits[] = {
@@ -418,7 +417,7 @@ static void disturb(void)
         serve();
 }
 
-/* The code changes once, or faster than frames can tell. */
+/* Change the code once, or faster than frames can report. */
 static void change_code(void)
 {
     for (uint32_t changes = draw(8) ? 1 : draw(40); changes; changes--) {
@@ -460,8 +459,7 @@ static void step(void)
     }
 }
 
-/* The clock wraps once and a little more while nothing acts: an age that is held does not begin
- * anew with it. */
+/* Let the clock wrap once and a little more without an action: an age at its maximum must not restart with it. */
 static void grow_old(void)
 {
     do

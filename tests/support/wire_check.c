@@ -1,6 +1,6 @@
-/* Reads "kind hex" lines, writes one JSON line each: the fields and the bytes of the frame encoded again, or why it is
- * refused. Its only tie to the Python code is hapticd_wire.h, so both agree on the vectors or the header is misread.
- * Like the boards it speaks for, it expects a little-endian machine. */
+/* Reads "kind hex" lines and writes one JSON line each: the fields and the bytes of the frame encoded again, or the
+ * reason of a refusal. It shares only hapticd_wire.h with the Python code, so both agree on the vectors or the header
+ * is misread. Like the boards, it expects a little-endian machine. */
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
