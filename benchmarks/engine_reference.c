@@ -1,4 +1,4 @@
-/* The reference for the batch engine: the same scene by hand in C, for gcc -O3 -march=native.
+/* The yardstick of the batch engine: the same scene by hand in C, for gcc -O3 -march=native.
  *
  * Bodies, spring and circuits (STATES, the first two are position and velocity of the first body), Coulomb friction on
  * it, encoder in counts, the tick law with its two filters, clamp, force in counts, fractional delay. An exact map per

@@ -1,4 +1,4 @@
-/* The reference in C: detrend and `spa` of one record with FFTW, streaming, one thread, in double or float (REAL).
+/* The yardstick in C: detrend and `spa` of one record with FFTW, streaming, one thread, in double or float (REAL).
  *
  * Removes linear trends in two passes. Sections of `lag` samples are padded to twice that, with one real transform each
  * (Rader 1970). Then four complex sums, one inverse transform per covariance, Hann lag window, three transforms to the

@@ -1,4 +1,4 @@
-/* The reference in C: all work of the servo's tick between two transfers, with the same frames, stages and record.
+/* The yardstick in C: all work of the servo's tick between two transfers, with the same frames, stages and record.
  *
  * Check the IN frame (CRC, axis, count, sequence, echo, board time), read commands, stop and heartbeat, K-B-M with both
  * filters, wall and ends, limit, count, energy ledger, OUT frame with CRC, the whole record, head and heartbeat.
