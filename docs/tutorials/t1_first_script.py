@@ -2,7 +2,7 @@
 First script
 ============
 
-Set a spring, push against it, and look at every tick of what happened.
+Set a spring, push against it, and inspect every tick of the motion.
 
 A script talks to a running daemon through a **client**:
 
@@ -14,7 +14,7 @@ A script talks to a running daemon through a **client**:
         ...
 
 Here the same client is connected to a simulated board on **virtual time**: its clock advances only
-during a recording, so this page needs no daemon. Everything else is the same live.
+during a recording, so this page needs no daemon. All other code is the same with a real device.
 """
 
 import numpy as np
