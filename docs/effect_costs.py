@@ -80,7 +80,7 @@ class Timed:
 
 def share(yardstick: Timed, folder: Path, key: str, before: list[str]) -> dict[str, Any]:
     """Return the cost of the effect `key` in the engine and in the whole stack, as a share of the
-    yardstick: the median of many pairs, timed in direct succession.
+    yardstick. It is the median of many pairs, timed in direct succession.
     """
     there = key in before
     replaced = [name for name in before if name not in REPLACED.get(key, {key})]

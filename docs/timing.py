@@ -2,7 +2,7 @@
 its figure; about five minutes on two cores.
 
 A board with two sequential transfers of 0.4 ms makes the force act 0.69 periods after its sample
-(ADR-0008); with transfers in flight it can act after 0.25. Each row is one limit of K or B at both
+(ADR-0008). With transfers in flight it can act after 0.25. Each row is one limit of K or B at both
 delays:
 
     law          b / (T/2 + delay + lags): the low-frequency bound, for K with B = 0

@@ -29,8 +29,8 @@ GENERATED = {
 
 
 def contents(app: Any, name: str, source: list[str]) -> None:
-    """Handle the event `source-read`: links to files outside of docs/ lead to the pages that
-    include them, and each list of the first page becomes a part of the contents.
+    """Handle the event `source-read`. Links to files outside of docs/ lead to the pages that
+    include them. Each list of the first page becomes a part of the contents.
     """
     above = "../" * name.count("/")
     text = OUTSIDE.sub(lambda link: f"]({above}{INCLUDED[link[1]]}.md", source[0])

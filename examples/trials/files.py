@@ -10,8 +10,8 @@ Columns are `time_s`, `perturbation_n` (the force of the probe on the device) an
 90 s, so estimators have less data. Force is rounded to 1 mN and velocity to 10 um/s, far below the
 effect of the perturbation.
 
-The same trial gives the same bytes on one machine and one version of numba, numpy and zlib: the
-content of a file is independent of the time and the place of its creation.
+The same trial gives the same bytes on one machine and one version of numba, numpy and zlib. The
+content of a file does not depend on the time and place of its creation.
 
 Limitations: another release of the compiler. Motion with friction is chaotic, so a trial may then
 have another noise of the same kind, and the same truth.

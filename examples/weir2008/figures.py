@@ -201,7 +201,7 @@ def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03)
 
 def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
     """Draw our limits relative to the paper's in percent, for each limit and device, with the
-    scatter between seeds; a full mark at -100 % means that nothing is passive.
+    scatter between seeds. A full mark at -100 % means that nothing is passive.
     """
     seeds = (
         f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
@@ -242,7 +242,7 @@ def _labelled(name: str) -> str:
 
 
 def edges_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
-    """Draw K limits over the lower edge of the judged band, 0 if none is passive: they separate a
+    """Draw K limits over the lower edge of the judged band, 0 if none is passive. They separate a
     lag in the force path from a high-pass in the probe.
     """
     seeds = (

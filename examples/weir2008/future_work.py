@@ -25,8 +25,8 @@ friction, for every input. The best safe (B, M) has the minimum mean |Z| in dB o
 Shaped damping. "Future work could address a frequency dependent active damping, since added
 mechanical dissipation is rarely needed at low frequency". A high-pass removes the dissipation from
 slow motion, leaves a mass b / w_l there, and damps where filtered B and M need it. K differs: a
-sampled spring alone needs b > K t at every frequency, down to 0, t being half a period and the lag
-of the loop (Colgate and Schenkel 1997 for T / 2). So a corner costs stiffness on any device;
+sampled spring alone needs b > K t at every frequency, down to 0. Here t is half a period and the
+lag of the loop (Colgate and Schenkel 1997 for T / 2). So a corner costs stiffness on any device;
 virtual B in addition restores the dissipation of slow motion. A low-pass does the opposite. The
 best high-pass has the lightest free motion among those that keep the limits of B and M within
 `KEPT`.
@@ -42,7 +42,7 @@ difference of the second is the floor, the accuracy of one grid at the boundary.
 own noise. A point is wrong where the search, or the prediction alone, differs from the reference;
 shares are relative to the passive points.
 
-Limitations: Eq. 2 of the paper for B < 0, where it relaxes (`model.theorem` refuses it); a level at
+Limitations: Eq. 2 of the paper for B < 0, where it relaxes (`model.theorem` refuses it). A level at
 which the damping circuit itself oscillates (`model.stability`), or one that no board can command.
 """
 

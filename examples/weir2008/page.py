@@ -2,7 +2,7 @@
 as a Markdown page.
 
 `sections` makes those of the paper itself: the question, the table, and Figs. 2, 3, 4, 7-11 with
-two of our own; `future_work` adds the paper's future work. The page, the table and the figures are
+two of our own. `future_work` adds the paper's future work. The page, the table and the figures are
 all made from that one list.
 
 A run leaves REPORT.md, the table as table.json, table.csv and table.md, and each figure as PNG and

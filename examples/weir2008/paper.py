@@ -54,7 +54,7 @@ def paper_equation_2(
     for unfiltered velocity, no delay and no virtual mass.
 
     AnalysisError for B < 0, where the underlying theorem requires b > K T / 2 + |B| and Eq. 2 would
-    require less; and for K < 0, which no damping makes passive.
+    require less. Also for K < 0, which no damping makes passive.
     """
     if stiffness_n_per_m < 0.0:
         raise AnalysisError(

@@ -199,7 +199,7 @@ def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
     """Return the lever radius [m] for which both of the paper's crowbar figures would be true.
 
     Eq. 3 gives 1.7e-4 Nms/rad. The paper prints 3.7e-5 Ns/m for it at the endpoint, which would
-    require a lever of 2.14 m; with the lever of about 10 mm that fits the device it is 1.70 Ns/m.
+    require a lever of 2.14 m. With the lever of about 10 mm that fits the device it is 1.70 Ns/m.
     """
     return sqrt(crowbar_nms / crowbar_ns)
 

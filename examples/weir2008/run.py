@@ -12,7 +12,7 @@ Weir, Colgate and Peshkin, Measuring and increasing Z-width with active electric
     walls        impacts for Fig. 2
 
 Two readings of a limit. Axis: the other two are 0, as the paper's numbers are understood here. Set:
-the largest over all passive K, B, M; its place is predicted, then only the parameter itself is
+the largest over all passive K, B, M. Its place is predicted. Then only the parameter itself is
 searched by trials, from 0 at the predicted best of the others.
 
 Trials of the grid that cannot pass are predicted: even 85 % of the environment would not pass. Only

@@ -1,7 +1,7 @@
 """The circuit in lock-step with a program: libngspice, its inputs held between two moments.
 
 ngspice chooses its own time steps. A breakpoint at each moment up to which the inputs are known
-makes it stop there exactly; there it waits, in its own thread, until the next inputs are known. So
+makes it stop there exactly. It waits there, in its own thread, until the next inputs are known. So
 no result depends on a future input, and no step is rejected across a moment. The library holds one
 circuit; a process runs one `Transient` at a time.
 

@@ -6,8 +6,8 @@ one that starts later finds no old commands in its queue; no message lingers aft
 carries out the exchanges of `commands`, like the client for asyncio (`aio`); `telemetry` reads the
 telemetry.
 
-Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
-`detail` give the reason) or DaemonDown (no answer, or the gateway has no servo).
+Every call ends within its time-out with a reply or an error. CommandError: the daemon refused;
+`code` and `detail` give the reason. DaemonDown: no answer, or the gateway has no servo.
 
 numpy is loaded only by streams and waveforms: a verb at the shell does not wait for it.
 

@@ -7,16 +7,16 @@
                 table.begin(device.set(**condition.settings, ramp_s=0.2), condition)
                 table.answer(response=input("stiffer? "))
 
-The order (`blocks`, `pairs`) is random but balanced, and the same for the same seed: each block
+The order (`blocks`, `pairs`) is random but balanced, and the same for the same seed. Each block
 contains each condition once; half of the pairs begin with A. Learning and fatigue then affect all
 conditions alike (Fisher 1935, The Design of Experiments).
 
-A row of the table contains the revision and the ticks of the receipt, and the guard's verdict:
-`guard_safe` (True, False; empty: unknown or not judged) and `guard_margin`, the margin of damping
-[N s/m] in free space or in the wall, whichever is smaller. Both refer to the request. If a policy
-reduced it, K, B, M and damping show the values in force. Every record of `servo.raw` contains its
-revision, so `joined` returns for each condition exactly the ticks in which it was in force, without
-ramps, independent of the clocks of both programs.
+A row of the table contains the revision and the ticks of the receipt, and the guard's verdict.
+`guard_safe` is True, False or empty (unknown or not judged). `guard_margin` is the margin of
+damping [N s/m] in free space or in the wall, whichever is smaller. Both refer to the request. If a
+policy reduced it, K, B, M and damping show the values in force. Every record of `servo.raw`
+contains its revision. So `joined` returns for each condition exactly the ticks in which it was in
+force, without ramps. The clocks of both programs do not matter.
 
 Take the lease of the environment: a change by another client is another revision, whose ticks
 belong to no row.

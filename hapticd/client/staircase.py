@@ -7,9 +7,9 @@
 
 Transformed up-down method (Levitt 1971, J. Acoust. Soc. Am. 49:467): `down` right answers in a row
 lower the level, each wrong answer raises it. It converges to the level at which both are equally
-likely, where the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for three. Steps
-are factors, so the threshold is the geometric mean of the levels at which the direction reversed;
-the first reversals depend on the initial level and are left out.
+likely. There the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for three. Steps
+are factors, so the threshold is the geometric mean of the levels at which the direction reversed.
+The first reversals depend on the initial level and are left out.
 
 Levels must be positive, since a step multiplies them.
 """

@@ -5,7 +5,7 @@ and only a browser that reads nothing loses the oldest of WORDS. Of state messag
 of each kind waits. Telemetry frames wait in a queue of FRAMES places, which drops the oldest.
 
 Bytes passed to the operating system can no longer be dropped, and its buffers hold many seconds of
-telemetry. So at most WINDOW unacknowledged frames are in transit: after a pause, a slow or stalled
+telemetry. So at most WINDOW unacknowledged frames are in transit. After a pause, a slow or stalled
 browser receives at most that many old frames and then the newest.
 
 Messages must not each have their own kind: the queue would then be unbounded.

@@ -1,9 +1,9 @@
 """The K-B plane for the page, computed in a separate process and shown while it is valid.
 
-It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json, computed
-again when basis, margin, delay, mass, filters or the level of active damping change. It takes up to
-seconds, so it must not run in the process of telemetry and STOP. A separate process reads the
-question and writes the answer, at low priority, and ends with its parent: `python -m
+It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json. It is
+computed again when basis, margin, delay, mass, filters or the level of active damping change. It
+takes up to seconds, so it must not run in the process of telemetry and STOP. A separate process
+reads the question and writes the answer, at low priority, and ends with its parent: `python -m
 hapticd.console.plane GUARD_JSON PARENT`. The page draws the live point.
 
 The worker dies with the console. The configuration is read for each plane, so that it matches the

@@ -1,9 +1,9 @@
 """Live impedance from the probe stream: a running estimate while the device is excited.
 
 Force and velocity of the last WINDOW_S seconds go through the same estimator as those of a trial
-(`signal.spectra`, `signal.impedance`), with a wider window, twice a second, in a separate thread
-with its own client. Without an excitation it does not subscribe to the probe. The estimate is not a
-verdict: the record is short and not judged, and parameters may change within it.
+(`signal.spectra`, `signal.impedance`), with a wider window. It runs twice a second, in a separate
+thread with its own client. Without an excitation it does not subscribe to the probe. The estimate
+is not a verdict: the record is short and not judged, and parameters may change within it.
 
 Lost samples are reported, not repaired: each gap corrupts at most LAG of the averaged products.
 Limitations: an excitation that the probe does not measure.

@@ -1,7 +1,7 @@
 """Recording from the page: `hapticd record` as a separate process, one at a time.
 
-It is that verb, so the file is the same, and a page or a console that dies ends it in order: the
-recorder receives SIGTERM when the console dies, which finishes the file. Files go to the folder in
+It is that verb, so the file is the same. If the page or the console dies, the recorder ends in
+order: it receives SIGTERM when the console dies, which finishes the file. Files go to the folder in
 which the console was started; no text from a page becomes part of a path.
 
 `--parent` makes the kernel send SIGTERM when this process dies in any way. A long-lived thread must

@@ -1,8 +1,8 @@
 """Access control of the page: only browsers of this computer that loaded it from here.
 
 The server listens only on 127.0.0.1, but any web page can make a browser send requests to it. Two
-headers, which no script can forge, reveal such a page: `Host`, the name used by the browser (a
-foreign name was resolved to this computer by someone's name server), and `Origin`, the page that
+headers, which no script can forge, reveal such a page. `Host` is the name used by the browser; a
+foreign name was resolved to this computer by a foreign name server. `Origin` is the page that
 sends. Every request needs a host of HOSTS. An origin has to be that host, and a request for the
 socket has to have one. The port is not checked, so that an ssh tunnel may end at another one.
 

@@ -1,15 +1,15 @@
 """Telemetry for browsers: a thread converts the gateway's messages to frames.
 
-A frame is one binary message: the length of its header (u32, little-endian), the header as JSON,
-spaces up to a multiple of 8 bytes, then one column of float64 after another, one value a tick. A
-browser reads the columns in place. COLUMNS names them with their units; `now` in the header
+A frame is one binary message. It consists of the length of its header (u32, little-endian), the
+header as JSON, spaces up to a multiple of 8 bytes, and the columns. A column has one float64 per
+tick. A browser reads the columns in place. COLUMNS names them with their units; `now` in the header
 contains the newest record's own values, for lamps and numbers. All other messages are JSON text:
 `state`, `event` (with its `words`) and `guard` as published.
 
 Each block of the gateway becomes a frame on arrival: 50 a second.
 
-No function in `publish` may take longer than a few milliseconds, because it runs in this thread;
-the gateway drops messages that are not read within 100 messages.
+No function in `publish` may take longer than a few milliseconds, because it runs in this thread.
+The gateway drops messages that are not read within 100 messages.
 """
 
 import json

@@ -9,7 +9,7 @@ mass moves equally fast at each (Schroeder's phases, 1970, keep the peak low). T
 until the handle moves far enough to be measured. B = M = 0, and K is so weak that it only keeps the
 handle from drifting off, as the smallest slope would cause.
 
-Encoder and probe share the clock of one board: sample n of the probe ends at n * 250 us plus a
+Encoder and probe share the clock of one board. Sample n of the probe ends at n * 250 us plus a
 constant, which follows from the ticks that brought the samples (`Recording.place`). Lines are
 fitted to the received samples (weighted least squares with a Hann window), so samples may be
 missing and ticks may jitter.

@@ -6,9 +6,9 @@ FAR_M behind the handle, so it pushes with F, and with 1 % less for every 0.2 mm
 moves. Begin and end of a push are scheduled in the servo before anything moves, so the push ends in
 time even if this process dies.
 
-The perturbation of the probe acts only under the measuring lease (`perturbing`): no other client
-can change anything, and the perturbation ends with the lease if this process hangs or dies. Each
-received block of ticks is checked: force must act, and the handle must stay within its travel
+The perturbation of the probe acts only under the measuring lease (`perturbing`). No other client
+can change anything meanwhile. If this process hangs or dies, the perturbation ends with the lease.
+Each received block of ticks is checked: force must act, and the handle must stay within its travel
 (`Watch`). Before a waveform the handle rests: the mean of the torque channel is then its offset.
 The ticks contain the board time at which each sample was latched, the commanded force, and the
 delay of the force before it (`perturbation_run`).

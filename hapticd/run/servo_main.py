@@ -7,9 +7,9 @@ rights -> mailbox published, systemd notified -> loop. The servo waits for a boa
 not ready. The reason is in servo.report, in systemd's status and in the log, once for each reason.
 The first tick obeys a stop pressed during the wait. A simulated board (selected in SERVO_JSON,
 described by BOARD_JSON) runs in this process and thread, behind the same pyusb. Exit code 0: ended
-by a signal; otherwise the `exit_code` of the error, which is printed in one line on stderr: 78 the
-configuration or, for half a minute, the board's protocol is wrong, 6 a right was refused in strict
-mode (a restart would not help), 1 others.
+by a signal. Otherwise it is the `exit_code` of the error, which is printed in one line on stderr.
+78: the configuration or, for half a minute, the board's protocol is wrong; 6: a right was refused
+in strict mode (a restart would not help); 1: others.
 
 No import at the top may load numpy, pydantic or zmq, or a simulator for a real board (import-linter
 and a test check).

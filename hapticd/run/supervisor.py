@@ -11,7 +11,7 @@ order. It dies with its parent.
 The gateway survives the death of a servo, and vice versa. A servo is restarted up to 3 times within
 60 s, and is then disabled, whatever its earlier state. A process that never became ready is not
 restarted, nor a servo that reports a wrong configuration. A gateway that has served once is
-restarted without limit, with growing pauses: an external cause must not end the servo, which is
+restarted without limit, with growing pauses. An external cause must not end the servo, which is
 safe without a gateway (ADR-0021). The first signal ends in order, a second one kills. The
 supervisor prints nothing: progress goes to a callback.
 

@@ -1,7 +1,7 @@
 """A daemon on virtual time, in this process: servo, wire, board, gateway command server and guard.
 
-`VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's command
-server, which checks limits and leases, has the guard judge them and returns receipts. Left out are
+`VirtualBoard` answers as `hapticd run` does. The requests of a client go to the gateway's command
+server. It checks limits and leases, has the guard judge them and returns receipts. Left out are
 sockets, processes, the flight recording, and the topics `event` and `servo`. Its clock advances
 only during run, streaming, recording or a wait. `aio()` returns the same board for asyncio; only
 requests renew its leases.

@@ -76,7 +76,7 @@ def compensated(effects: tuple[Effect, ...], tolerance_ohm: float) -> tuple[Effe
     maximum that the servo permits damping and force to become.
 
     If this is passive, so is any reduction of both by the same share, as far as the circuit is
-    fast: Re Z is linear in the share, and with neither of them it is the device's own damping.
+    fast. Re Z is linear in the share, and with neither of them it is the device's own damping.
     """
     cold = next((one.resistance_ohm for one in effects if isinstance(one, Motor)), None)
 

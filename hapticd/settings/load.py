@@ -2,9 +2,9 @@
 keep the origin of every value.
 
 A configuration may only be stricter than its device, a device must be consistent, and the requested
-effects must exist and fit together. All mistakes are reported at once, one line each, with file,
-line, value, unit and limit: in both files, and also by the rules that do not depend on a wrong
-value (`tables.parsed`).
+effects must exist and fit together. All mistakes of both files are reported at once, one line each,
+with file, line, value, unit and limit. Rules that do not depend on a wrong value are checked too
+(`tables.parsed`).
 
 Overrides must be merged before validation (they would otherwise not be checked).
 """

@@ -11,7 +11,7 @@ Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refus
 Units are part of field names; `core.units.unit_of` reads them for messages and for the JSON schema.
 
 Limitations: a pydantic release that renames its error types (`REASONS` would fall back to
-pydantic's own text); a rule whose limit comes from another table that it does not list.
+pydantic's own text). A rule whose limit comes from another table that it does not list.
 """
 
 import copy

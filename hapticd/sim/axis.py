@@ -2,7 +2,7 @@
 the board's 4 kHz half.
 
 Time here is a count of sub-steps of T/16. Force and active damping are held between OUT frames, the
-perturbation between the ends of the 250 us intervals of `Probe`; `run_to` plays the plant piece by
+perturbation between the ends of the 250 us intervals of `Probe`. `run_to` plays the plant piece by
 piece between those.
 
 Fail-safe: no OUT for the watchdog time -> torque 0, FIFO empty, damping held for 2 s, then released
@@ -14,10 +14,10 @@ transport delay); any removal of torque acts at once. A plant that runs away (be
 stopped at its last position, with an amplifier fault.
 
 Probe: one interval ends every 250 us of board time. It yields a pair: the mean perturbation torque
-of the interval and the mean velocity, which is the distance travelled over 250 us, so that the sum
-of torque x velocity x 250 us is the exact work. The next interval then plays the next sample of the
-FIFO, or 0 when it is empty (an under-run). Pairs wait, 64 at most, until the host has read them;
-beyond that, the oldest is lost and the gap appears in the index.
+of the interval and the mean velocity. The latter is the distance travelled over 250 us, so that the
+sum of torque x velocity x 250 us is the exact work. The next interval then plays the next sample of
+the FIFO, or 0 when it is empty (an under-run). Pairs wait, 64 at most, until the host has read
+them; beyond that, the oldest is lost and the gap appears in the index.
 
 Limitations: an OUT that arrives before the current sub-step of the plant, or an interval grid that
 is not the plant's sub-step grid. Where 250 us are not a whole number of sub-steps (rates that are

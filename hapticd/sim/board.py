@@ -2,7 +2,7 @@
 nanoseconds.
 
 Every call first plays the plant up to its `t_ns` (to the nearest T/16). An OUT takes effect on
-receipt; its IN is latched `sample_phase` of a tick later, so that the OUT of the next tick acts d =
+receipt. Its IN is latched `sample_phase` of a tick later, so that the OUT of the next tick acts d =
 (1 - sample_phase) T after the encoder was read. One accepted OUT latches one IN. The next IN
 replaces an unread one: it is counted, and its event bits and pairs move to the next. A refused OUT
 changes nothing, latches nothing and feeds no watchdog. The first OUT starts board time. Replies of

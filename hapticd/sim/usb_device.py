@@ -1,7 +1,7 @@
 """The simulated board as seen by a real host controller: transfers end with data, end with an
 error, or stay pending.
 
-The pyusb backend replaces libusb; here the host's own USB stack is above, so this is one layer
+The pyusb backend replaces libusb. Here the host's own USB stack is above, so this is one layer
 deeper: the standard requests of endpoint 0 (USB 2.0, chapter 9.4), halts, and packets. Board and
 faults are the same: `Port` is a BoardModel or an Injector around it, and its errors become those of
 a controller. EIO is a broken transaction (EPROTO), a packet longer than the endpoint's is babble

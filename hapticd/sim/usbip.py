@@ -1,7 +1,7 @@
 """The simulated board on the USB bus of any Linux: a USB/IP server.
 
 The kernel of the attaching machine (module vhci_hcd) enumerates the board as if it were plugged in
-there, so that the real usbcore, usbfs, libusb, udev and their permissions are between it and the
+there. The real usbcore, usbfs, libusb, udev and their permissions are then between it and the
 daemon. Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, version 1.1.1. All
 numbers are big-endian, except for the setup bytes, which are USB's own.
 

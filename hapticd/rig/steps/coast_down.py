@@ -7,12 +7,12 @@ and the time T of motion. For any mass, and any delay or smoothing of the force,
 
 with the active damping b, the physical damping b0, Coulomb friction Fc, a constant force G
 (gravity, the force at a count of 0) and the direction s of the motion: no momentum remains from
-rest to rest. The mass need not be known. The lag of amplifier and circuit drops out as well: T
-begins with the command and its delay, since the part of a smoothed force that acts before it
-exceeds friction is absorbed by friction. b is the value sent to the damping DAC times an unknown
-gain. J is known from the measured gain of the force, D from that of the encoder.
+rest to rest. The mass need not be known. The lag of amplifier and circuit drops out as well. T
+begins with the command and its delay, since friction absorbs the part of a smoothed force that acts
+before it exceeds friction. b is the value sent to the damping DAC times an unknown gain. J is known
+from the measured gain of the force, D from that of the encoder.
 
-g b is the loop gain of the residual resistance: the circuit sees the velocity v + rho F_a, and the
+g b is the loop gain of the residual resistance. The circuit sees the velocity v + rho F_a, and the
 motor produces F_a = (F - b v) / (1 + g b), with g = rho. It weakens force and damping alike. In J
 alone it appears only as friction that seems to take more of J at higher b: slow pushes are mostly
 friction, fast ones mostly damping. Where the board reports the motor's current, its integral Q
@@ -38,8 +38,8 @@ The physical damping is the part proportional to speed without active damping. F
 proportional, and is negligible at large motions. The device file gets LEAST_SHARE of the lower end
 of its interval.
 
-Limitations: a `half_width_95` that is kept although its scale was changed by hand; a handle that is
-held or pushed by something else, or that has not come to rest (such a push gives no row); friction
+Limitations: a `half_width_95` that is kept although its scale was changed by hand. A handle that is
+held or pushed by something else, or that has not come to rest (such a push gives no row). Friction
 that depends on the level of damping (without a current).
 """
 
@@ -164,7 +164,7 @@ def _end(away: Floats, way: float, edge: float) -> float:
 
 def _rest(rising: Floats, edge: float, order: int) -> float:
     """Return the sample, interpolated, at which a motion (n,) from rest began. Near there the speed
-    is proportional to time, so the root of the distance is a line: it takes as long to `edge` as
+    is proportional to time, so the root of the distance is a line. It takes as long to `edge` as
     from there to four times `edge`. With order 3 it is a parabola, which also uses nine times
     `edge`.
     """

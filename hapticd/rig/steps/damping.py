@@ -6,8 +6,8 @@ short and fast, gentle ones (twice the friction) slow. This separates damping fr
 both from the effect of the residual resistance of the winding.
 
 Polarity comes first. A board whose count reduces damping could be unstable at any larger count. So
-a small count is tried, 1/64 of the device's limit, for a short time: it is switched on at rest just
-before a push and off 12 ms after its begin, both scheduled in the servo before anything moves. Any
+a small count is tried, 1/64 of the device's limit, for a short time. It is switched on at rest just
+before a push and off 12 ms after its begin. Both are scheduled in the servo before the motion. Any
 growth lasts 20 ms (12, and up to 8 for the slew). If these pushes and those without damping do not
 determine the sign, twice as much is tried, and twice as much again.
 

@@ -8,12 +8,12 @@ delays and lags of a millisecond rotate the phase of a force by a hundredth. Bot
 force per ampere, which `rig motor --winding` measures.
 
 `measure_delivery` compares delivered with commanded values. Damping is that of `guard.delivered`,
-which `hapticd status` shows continuously: the slope of the motor's force on the encoder's velocity
-at equal commanded force, over the last four seconds. Force is the slope of the motor's force, from
-its current, on the commanded force at equal velocity.
+which `hapticd status` shows continuously. It is the slope of the motor's force on the encoder's
+velocity at equal commanded force, over the last four seconds. Force is the slope of the motor's
+force, from its current, on the commanded force at equal velocity.
 
 `measure_residual` shows the residual of the resistance compensation, live. The circuit derives from
-the back-EMF the velocity v + rho F_a: the part of the winding's voltage drop that it does not
+the back-EMF the velocity v + rho F_a. The part of the winding's voltage drop that it does not
 subtract appears as a velocity, rho per newton of the motor. Without active damping nothing depends
 on it, so
 

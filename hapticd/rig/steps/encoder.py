@@ -125,9 +125,9 @@ def passages(records: Records, counts: Floats) -> Floats:
 def analyse(
     arrays: dict[str, Floats], distance: Distance, m_per_count: float, home: str = "none"
 ) -> StepResult:
-    """Evaluate counts at rest (n,), during the motion (m,), of the steps from A to B (k,) and,
-    where there is one, of the index mark from x = 0 (`marks`). `m_per_count` and the method to
-    `home` are those of the device file.
+    """Evaluate counts at rest (n,), during the motion (m,), and of the steps from A to B (k,).
+    `marks` are those of an index mark from x = 0. `m_per_count` and the method to `home` are those
+    of the device file.
     """
     rest, moving, steps = (arrays[name] for name in ("rest", "moving", "steps"))
     went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])

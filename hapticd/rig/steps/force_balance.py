@@ -1,7 +1,7 @@
 """Mass, friction, delay and smoothing from the balance of forces on a perturbed handle.
 
-Every force on it is known: the probe's torque t, and the servo's commands f, which act after a
-delay D as a zero-order hold through a smoothing of time constant s. So at every sample of 4 kHz
+Every force on it is known: the probe's torque t, and the servo's commands f. The commands act after
+a delay D as a zero-order hold through a smoothing of time constant s. So at every sample of 4 kHz
 
     m v' + b v + Fc phi + f0 = t + g F,     F = smoothed staircase of f,  g = gain of the motor
 

@@ -3,8 +3,8 @@
 Means over intervals of the velocity give v' exactly, as a mean weighted by the triangle of two
 intervals. The probe's torque is held, and the smoothed staircase of commands has a double integral
 in closed form. phi is the mean normalised friction: the sign of the velocity, and, where forces do
-not exceed Fc, their value (velocity is linear within an interval, so the moment of a reversal is
-known).
+not exceed Fc, their value. Velocity is linear within an interval, so the moment of a reversal is
+known.
 
 The board reports the times of the encoder latch. The intervals of the probe end at multiples of 250
 us of the same clock plus a constant (`Clock`). The encoder's displacement and the integral of the

@@ -1,10 +1,10 @@
 """Identify the device's own [model]: moving mass, friction, and delay of the force.
 
 The operator lets go of the handle. A weak spring and damper keep it in the middle while the probe
-shakes it with noise, softly and then hard (`force_balance` separates Coulomb from viscous friction
-by the two amplitudes). Then a stiffer spring is rendered, which friction keeps passive with a wide
-margin (Colgate and Schenkel's theorem with the lag found so far), and shaken hard again: its force
-shows delay and smoothing.
+shakes it with noise, softly and then hard. `force_balance` separates Coulomb from viscous friction
+by the two amplitudes. Then a stiffer spring is rendered and shaken hard again; its force shows
+delay and smoothing. Friction keeps it passive with a wide margin (Colgate and Schenkel's theorem
+with the lag found so far).
 
 `mechanics` computes the results with intervals. A long record makes small terms certain, so a
 contradicted assumption is reported only if it is significant and larger than its value in MATTERS.

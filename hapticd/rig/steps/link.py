@@ -17,8 +17,8 @@ whole microseconds.
 Then the board's watchdog is tried. The disabled servo withholds frames for a time and requests
 authority over zero force. A board that has tripped reports this in its answer, with the damping
 that it holds. The first silence is well beyond the time stated in the hello. If the board trips,
-the interval is halved until a silence of one period more trips it and one less does not: the time
-lies between the two, by the board's own clock. A board that did not trip is not tried again.
+the interval is halved until a silence of one period more trips it and one less does not. The time
+is between the two, by the board's own clock. A board that did not trip is not tried again.
 
 Damping of COUNTS converter counts, which is imperceptible, is on during the trial, so that there is
 a level to hold. Whether it tripped, and the level held, are only reported by the board, and the

@@ -7,16 +7,16 @@ other one is. A motion in the same direction both times is gravity or a hand, an
 these pushes make force, and the servo ends one that goes wrong.
 
 Gain (`measure_gain`). A spring holds the handle while masses hang from it. A far wall draws it a
-little to either side and lets it creep back, so that it comes to rest once from above and once from
-below, and Coulomb friction cancels in the mean. At rest
+little to either side and lets it creep back. It comes to rest once from above and once from below,
+and Coulomb friction cancels in the mean. At rest
 
     s F + o + a w = 0,     w = m g r / R
 
 with the commanded F, newtons per commanded newton s, the offset o, the side a = +-1 to which the
 masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and o.
-Its residuals show whether the motor is linear, and give the intervals (Student's t), together with
-a friction that differs from reading to reading by a share REPEATS: a few masses may lie on a line
-by chance.
+Its residuals show whether the motor is linear. They give the intervals (Student's t), together with
+a friction that differs from reading to reading by a share REPEATS: a few masses may fit a line by
+chance.
 
 Limitations: a friction that differs from one reading to the next (it appears in the residuals).
 """

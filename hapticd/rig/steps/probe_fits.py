@@ -3,7 +3,7 @@
 Mass. The balance of forces on a shaken handle, without and with a known mass, gives newtons per
 count of the probe's torque, without knowledge of the device's mass or motor.
 
-The encoder is at one end of a slightly compliant transmission, the probe at the other; at 30 Hz a
+The encoder is at one end of a slightly compliant transmission, the probe at the other. At 30 Hz a
 handle of 25 g moves a few percent further than the probe. Forces inside the device cancel in the
 sum over both, so at every line, with g newtons in a count,
 
@@ -12,7 +12,7 @@ sum over both, so at every line, with g newtons in a count,
 A, V and X are acceleration, velocity and position of the encoder's end, A' the acceleration of the
 probe's end (its own velocity channel), r the mass that moves with it, S the lines of sign(V'):
 Coulomb friction is a known signal, not noise. M is 0 and the mass. Both recordings are solved
-together, for m, m + M and r, and b, c and k of each; the difference is the mass over g, and its
+together, for m, m + M and r, and b, c and k of each. The difference is the mass over g, and its
 sign that of g.
 
 A nearly rigid transmission gives no information on r, so r is assumed to be a part of m.

@@ -94,8 +94,8 @@ def _spa() -> Finding:
 
 
 def spectrum_of(late: Floats, early: Floats, frequency_hz: Floats) -> Complexes:
-    """Return the cross-spectrum (F,) of two records (n,), by the sums of its definition: biased
-    covariances to a lag of SPA_LAG, Hann's window, the transform term by term.
+    """Return the cross-spectrum (F,) of two records (n,), by the sums of its definition. These are
+    biased covariances to a lag of SPA_LAG, Hann's window, the transform term by term.
     """
     n = late.size
     lags = np.arange(-SPA_LAG, SPA_LAG + 1)

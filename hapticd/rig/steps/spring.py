@@ -6,9 +6,9 @@ of force going up and the same going down again. At rest
     s F + o = k (x - x0) +- f
 
 with the commanded F, newtons per commanded newton s, the motor's offset o, the place x0 where the
-spring is slack, and the friction f, which has one sign on the way up and the other on the way down:
-it cancels in the mean of the two. The line x(F) has the slope s / k. o cannot be separated from x0;
-it is measured without a spring (`measure_offset`). Forces of both signs are on the line, so its
+spring is slack, and the friction f. Friction has opposite signs on the way up and on the way down,
+so it cancels in the mean of the two. The line x(F) has the slope s / k. o cannot be separated from
+x0; it is measured without a spring (`measure_offset`). Forces of both signs are on the line, so its
 residuals show a nonlinear motor, a nonlinear spring, or a lever that slips.
 
 Limitations: a spring that buckles or is stretched to its end (residuals), and a wrong scale of

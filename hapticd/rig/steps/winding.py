@@ -1,11 +1,11 @@
 """Force per ampere, resistance of the winding, and back-EMF.
 
-At rest under force (the handle is held by hand, forces of LEVELS go to either side) the motor's
-voltage is R i and its force K i: two lines over the commanded forces, with offsets of the sensors
-in their intercepts. Moved by hand without force, a winding without current shows K v. Over windows
-of WINDOW_S the mean of the voltage and the encoder's displacement correspond exactly, so no
-velocity is computed from noise. In SI both K are one number [N/A = V s/m]; if they differ, the
-scales of current, voltage, force and position contradict each other.
+The handle is held by hand, at rest, under forces of LEVELS to either side. The motor's voltage is R
+i and its force K i: two lines over the commanded forces, with offsets of the sensors in their
+intercepts. Moved by hand without force, a winding without current shows K v. Over windows of
+WINDOW_S the mean of the voltage and the encoder's displacement correspond exactly, so no velocity
+is computed from noise. In SI both K are one number [N/A = V s/m]; if they differ, the scales of
+current, voltage, force and position contradict each other.
 
 The same motion gives scale and sign of the channel `emf_velocity` (`analyse_back_emf`). The device
 is disabled, so no current flows and the channel shows velocity alone, for any resistance
