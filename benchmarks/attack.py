@@ -2,10 +2,10 @@
 
 A flight is a servo and its simulated board in lock-step for TICKS ticks. Its seed determines the
 board (queue, transport, hands, stops, bounce, clock, a hello that contradicts the device file), the
-servo (limits, ramps), the faults and their times, and every command: all kinds, several in a tick,
-scheduled ones, invalid values, the stop word, a gateway that falls silent, a host that pauses. The
-operator aims at force: a servo without force is reset, zeroed and enabled again. Violations are
-judged at the simulated motor (`attack_watch`).
+servo (limits, ramps), and the faults with their times. It also determines every command: all kinds,
+several in a tick, scheduled ones, invalid values, the stop word, a gateway that falls silent, a
+host that pauses. The operator aims at force: a servo without force is reset, zeroed and enabled
+again. Violations are judged at the simulated motor (`attack_watch`).
 
     python benchmarks/attack.py                      a million ticks, as `make bench`
     python benchmarks/attack.py --ticks 4000000 --first-seed 1000      others, and more
@@ -324,7 +324,7 @@ WEIGHTS = [
 
 def struck(board: BoardParams, ticks: int) -> Any:
     """Return whether an encoder was wrong (row 0), or samples or commands were lost (row 1),
-    shortly before each OUT; a queued or delayed one may be read some ticks later.
+    shortly before each OUT. A queued or delayed one may be read some ticks later.
     """
     rows = np.zeros((2, ticks), bool)
     for one in board.injections:

@@ -10,12 +10,12 @@
                 after a host stood still; at once for `disabled`
     silence     0 within the watchdog's time and a period after the last OUT accepted by the board
 
-The motor is observed in every piece that the plant plays, so between two OUTs too. The law's own
-step is bounded by the motion of the handle: K times the range of its position over the last OUTs, B
-times that of its speed, M times that of its acceleration, and the wall's likewise. This is the
-plant's own motion, not the servo's estimate, and no filter passes more than the recent range of its
-input. While an encoder is wrong or an amplifier does not follow its command, steps are not judged,
-and the amplifier's own factor widens the clamp: the servo cannot detect this.
+The motor is observed in every piece that the plant plays, so between two OUTs too. The motion of
+the handle bounds the law's own step. The bound is K times the range of its position over the last
+OUTs, B times that of its speed, M times that of its acceleration, and the same for the wall. This
+is the plant's own motion, not the servo's estimate, and no filter passes more than the recent range
+of its input. While an encoder is wrong or an amplifier does not follow its command, steps are not
+judged, and the amplifier's own factor widens the clamp. The servo cannot detect this.
 
 Of the servo's records only the state is used, for the time since which it requests no force; and
 that state is checked against the commands.

@@ -1,8 +1,8 @@
 """Trials needed by the directed search: on oracles without noise for 2 % of the passive set's
 volume, and on weir2008.
 
-The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters of 100 and 72 Hz;
-the nonaffine one has a damping that the environment changes by up to 0.55 N s/m. A binary grid
+The oracles: 8 g, 2 N s/m, 1 kHz, force held, one tick late, Butterworth filters of 100 and 72 Hz.
+The nonaffine one has a damping that the environment changes by up to 0.55 N s/m. A binary grid
 needs 290,000 and 180,000 trials.
 
 weir2008, undamped and damped, trials of 90 s with noise: compared with a grid of 2,002 that is

@@ -1,6 +1,6 @@
 """Ticks from the physical cause of each fault to zero force at the simulated motor.
 
-A servo holds a handle 1 to 8 mm off with K = 200 to 600 N/m; the fault is caused, and the motor is
+A servo holds a handle 1 to 8 mm off with K = 200 to 600 N/m. The fault is caused, and the motor is
 observed in every piece that the plant plays. The figure is the worst of SEEDS seeds, which vary
 stiffness, place, phase of the stop ramp and the other free parameters of the fault. Its yardstick
 is the fault's page: the ticks within which it is noticed, and RAMP_TICKS for the ramp and the path
@@ -10,8 +10,8 @@ to the motor. Virtual time: the figure is the same on every machine.
     cause     the moment of the affected OUT attempt, of the command, of the pause of the host, of
               the last heartbeat, of the overspeed, or of the first clamped force
 
-Not here: `not_finite`, which no setting within its limits can cause; `energy`, whose cause is a sum
-without a moment; homing's own faults, which are verdicts on a search with its time-out.
+Not here: `not_finite`, which no setting within its limits can cause. `energy`, whose cause is a sum
+without a moment. Homing's own faults, which are verdicts on a search with its time-out.
 
 Limitations: a fault that leads to another code (the figure reports it).
 """

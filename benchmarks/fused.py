@@ -2,8 +2,8 @@
 float32, one core.
 
 CPU time of one thread for a group of 64 trials compared with the C of the same scene, which stores
-every sample in the cache, and FFTW's spectra of as many records, force transformed before; in
-turns, minimum of the rounds of each.
+every sample in the cache, and FFTW's spectra of as many records (force transformed before). They
+run in turns; the minimum of the rounds of each counts.
 """
 
 from collections.abc import Callable, Iterator

@@ -11,8 +11,8 @@ pieces of at most T / 4, not from the servo's own ledger:
         <= person + 5 mJ + booked                      and so of |v| and |x|; M where it is < 0
 
 m includes the mass that the hand adds to the rotor, arm is its spring to the wall; c is the
-physical damping plus the level in effect, `booked` the energy of rising K and M, dK x^2 / 2 and dM
-v^2 / 2 of every upward step.
+physical damping plus the level in effect. `booked` is the energy of rising K and M: dK x^2 / 2 and
+dM v^2 / 2 of every upward step.
 
 Limitations: a force stored by the display outside E (no wall is flown), or a piece so long that the
 trapezoid of v^2 is no longer the integral.

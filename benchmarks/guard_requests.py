@@ -1,15 +1,16 @@
 """Random requests to a guarded display, and every resulting environment in force.
 
-A sequence is determined by its seed: a policy, a margin, a number of requests (any of K, B, M,
-wall, filters, damping on, off or at a level, modes, ramps, some of them at a future tick, enable
-and disable) and the pauses between them. The guard's answers are applied to the servo's own plan
-(`servo.commands`, `servo.plan`): the same ramps, the same slew of the damping, the same schedule,
+A seed determines a sequence: a policy, a margin, a number of requests and the pauses between them.
+A request is any of K, B, M, wall, filters, damping (on, off or at a level), modes, ramps, enable
+and disable; some are for a future tick. The guard's answers are applied to the servo's own plan
+(`servo.commands`, `servo.plan`). Ramps, slew of the damping and schedule are therefore the same,
 tick by tick but without board and law. Stages are posted as by the gateway, when the damping in
-effect has the required value and earlier ramps have ended; a newer request replaces the remaining
+effect has the required value and earlier ramps have ended. A newer request replaces the remaining
 ones.
 
-Recorded are all environments while force is on, including the gain: free, and, if there is a wall,
-in contact with its spring and damper added; on ramps every eighth tick, and the steady ones.
+All environments are recorded while force is on, including the gain: free, and with a wall in
+contact with its spring and damper added. On ramps every eighth tick is recorded, and the steady
+ones.
 
 Limitations: a gateway that posts differently; some tests use the real one.
 """

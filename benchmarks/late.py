@@ -7,7 +7,7 @@ cyclictest.
     python benchmarks/late.py --share 0.1            a tenth of the periods
 
 Both run at the same time and priority on two cores that they exchange after each block, so that a
-pause of the machine affects both alike; on one core they take turns. A tick is late if it ends
+pause of the machine affects both alike. On one core they take turns. A tick is late if it ends
 beyond the next deadline, a wake if it comes a whole period late. The test decides whether the
 servo's rate may equal cyclictest's: Fisher's exact test (Fisher 1935), one-sided. Each late tick
 has its cause (`LateCause`; LAST: the last one of a piece, whose cause is in no record). The targets

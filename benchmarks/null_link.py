@@ -3,8 +3,8 @@ is the servo's own.
 
 `prepare` makes frames in advance, valid in number, echo, board time and CRC, with a moving encoder.
 The cost of the link itself is subtracted from the tick: `read_ns` is the body of each read,
-`calls_ns` the rest of a read and the whole of a write, measured once without a pause (so it
-subtracts too little rather than too much).
+`calls_ns` the rest of a read and the whole of a write. The latter is measured once without a pause,
+so it subtracts too little rather than too much.
 """
 
 import time

@@ -1,9 +1,9 @@
 """Cost for the console of showing a browser every tick, 50 frames a second.
 
-The yardstick gets exactly the console's messages, at the same time: a reader of the page's socket
-publishes its messages, and a minimal forwarder, asyncio like the console's server, sends each of
-them on to its own websocket. The console's additional work is making frames from the records,
-following the daemon in a thread, and acknowledgements.
+The yardstick gets exactly the console's messages, at the same time. A reader of the page's socket
+publishes its messages. A minimal forwarder, asyncio like the console's server, sends each of them
+on to its own websocket. The console's additional work is making frames from the records, following
+the daemon in a thread, and acknowledgements.
 """
 
 import subprocess

@@ -2,10 +2,10 @@
 report on the page, and from an address to the first paint.
 
 The yardstick of the click is a minimal page whose button sends one message over a websocket and
-shows the echo. The same mouse clicks both, in turns, and the same lines inside the page time them,
-from the time stamp of the click until the count reported by the board changes. (Damping then starts
-its ramp, on any page.) The yardstick of the first paint is a page with the same bytes as text, from
-a minimal server, by Chromium's own paint timing.
+shows the echo. The same mouse clicks both, in turns. The same lines inside the page time them, from
+the time stamp of the click until the count reported by the board changes. (Damping then starts its
+ramp, on any page.) The yardstick of the first paint is a page with the same bytes as text, from a
+minimal server, by Chromium's own paint timing.
 """
 
 import random

@@ -2,9 +2,10 @@
 first one.
 
 Wall time of `simulate` on all cores, warm, against the C of the same states, friction and sub-steps
-on all cores, in turns and for as many steps, minimum of the rounds of each. The first kernel is
-timed in fresh processes with an empty cache folder and again with the cached result: information,
-since the compiler's time is external. Last the peak memory of a process that keeps sums only.
+on all cores. They run in turns and for as many steps; the minimum of the rounds of each counts. The
+first kernel is timed in fresh processes with an empty cache folder and again with the cached
+result: information, since the compiler's time is external. Last the peak memory of a process that
+keeps sums only.
 """
 
 import json

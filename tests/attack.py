@@ -1,11 +1,11 @@
 """`make attack`: run the rows of the attack suite, print them, and write build/attack.json.
 
     python tests/attack.py                          every row, whole
-    python tests/attack.py --only commands,frames   some rows; theirs replace those of the file
+    python tests/attack.py --only commands,frames   some rows; they replace those of the file
     python tests/attack.py --factor 0.01            a hundredth of each
 
-A row whose work can be shared is run by all cores, in parts with seeds of their own. The exit code
-is 1 where something was lost, a stop took longer than STOP_MS, or a kind came too rarely.
+All cores run a row whose work can be divided, in parts with their own seeds. The exit code is 1 if
+there was a loss, a stop took longer than STOP_MS, or a kind occurred too rarely.
 """
 
 import argparse
@@ -72,14 +72,14 @@ def told(row: Row, outcome: Outcome, seconds: float) -> dict[str, Any]:
 
 
 def merged(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """`rows`, and those of the file that were not run again, in the order of the table."""
+    """Return `rows` and the other rows of the file, in the order of the table."""
     kept = json.loads(RESULT.read_text()) if RESULT.exists() else []
     by_name = {one["name"]: one for one in [*kept, *rows]}
     return [by_name[row.name] for row in ROWS if row.name in by_name]
 
 
 def main() -> int:
-    """Run what is asked for."""
+    """Run the selected rows."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--only", default=os.environ.get("ONLY", ""))
     parser.add_argument("--factor", type=float, default=float(os.environ.get("FACTOR") or 1.0))

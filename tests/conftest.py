@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # as an installation has it by its entry point, also where hapticd is only on the path
 pytest_plugins = ["hapticd.pytest_plugin"]
 
-# helpers; the cases of usb_guest run in another kernel, and its conftest.py speaks to that kernel
+# helpers; the cases of usb_guest run in another kernel, with their own conftest.py
 collect_ignore = ["support"]
 
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
@@ -46,14 +46,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """On workers slow tests, and files of them, go first: none of them is alone at the end."""
+    """On workers run slow tests and their files first, so that none runs alone at the end."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """Tests and modules stay to the end: searches for garbage need not look at them again."""
+    """Freeze tests and modules: they live to the end, so the garbage collector can skip them."""
     gc.freeze()
 
 
@@ -74,7 +74,7 @@ def pytest_terminal_summary(
 
 
 def _missed(config: pytest.Config) -> list[str]:
-    """Ids of the tests, or of whole files, that were skipped and may not be."""
+    """Return the ids of tests, or of whole files, that were skipped without permission."""
     if not config.getoption("--all-must-run"):
         return []
     reporter = config.pluginmanager.getplugin("terminalreporter")
@@ -91,7 +91,7 @@ def _may_be_skipped(nodeid: str) -> bool:
 
 @pytest.fixture
 def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty runtime folder for this test alone, and no configuration but the shipped one."""
+    """Yield an empty runtime folder for one test, with the shipped configuration only."""
     yield from fresh_runtime(monkeypatch)
 
 

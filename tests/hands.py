@@ -1,14 +1,13 @@
-"""`make hands`: random passive hands against environments at the edge of what the guard calls safe.
+"""`make hands`: random passive hands on environments at the edge of the guard's safe set.
 
     python tests/hands.py                           5,000 hands for each of 300 environments
     python tests/hands.py --environments 30 --hands 100 --seed 7
-    python tests/hands.py --share 2                 beyond the edge, where some hands do shake it
+    python tests/hands.py --share 2                 beyond the edge, where some hands destabilise
 
-Each environment is a direction in K, B, M at 0.999 of its edge; ten of them are on one device, with
-a narrow mode of its own. Hands are the networks of masses, springs and dampers of
-support.passive_hands, chains and meshes of up to five masses among them. A violation is a loop that
-grows in one of them: a spectral radius above 1 by more than rounding. Prints a line of JSON; the
-exit code is 1 for a violation.
+Each environment is a direction in K, B, M at 0.999 of its edge. Ten of them are on one device with
+a narrow mode. Hands are the networks of masses, springs and dampers of support.passive_hands, with
+chains and meshes of up to five masses. A violation is a growing loop: a spectral radius above 1 by
+more than rounding. Prints a line of JSON; the exit code is 1 for a violation.
 """
 
 import argparse

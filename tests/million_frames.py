@@ -1,10 +1,10 @@
-"""The reference firmware at length: `make firmware`, minutes. Prints what was done.
+"""The reference firmware at length: `make firmware`, minutes. Prints its counts.
 
     python tests/million_frames.py [FOLDER]    its C sources, else those of the reference
 
 1. a million hostile frames, to the firmware and to the simulated board: every frame, output and
    reply the same;
-2. ten million steps of the fuzzer, with sanitizers, and what of the sources it reaches;
+2. ten million steps of the fuzzer, with sanitizers, and its coverage of the sources;
 3. a trial of 90 s in lock-step with each: the same record and the same verdict.
 
 It ends with an AssertionError at the first difference or broken promise.

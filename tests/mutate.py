@@ -1,22 +1,21 @@
-"""Put known defects back, one at a time, and see that a test fails for each: `make mutate`.
+"""Insert known defects, one at a time, and check that a test fails for each: `make mutate`.
 
-A mutant of tests/mutants is one defect that was found and corrected, or that tests once did not
-see; support.mutants says how one is written. Every test that a mutant names first passes on an
-untouched copy of the tree. Then each mutant goes into a copy of its own, its tests run, and the
-verdict is
+A mutant of tests/mutants is one defect that was found and corrected, or that tests once missed;
+support.mutants documents the format. Every test that a mutant names first passes on an untouched
+copy of the tree. Then each mutant is inserted into its own copy, its tests run, and the verdict is
 
     killed           a named test fails
     survived         all of them pass: no test guards the claim any more
-    does not apply   the code has moved on: write the mutant again, the claim stays
-    does not run     the tests could not even be collected
+    does not apply   the code has changed: write the mutant again, the claim stays
+    does not run     the tests could not be collected
 
 All but `killed` fail the run. Copies share bytecode that is checked by the hash of its source: by
 time and size, two texts of one length within one second would be the same.
 
     python tests/mutate.py                   all of them, two at a time
-    python tests/mutate.py old_frame stop    those whose name holds one of the words
+    python tests/mutate.py old_frame stop    those whose name contains one of the words
 
-Limitations: a mutant that kills by an import error says `does not run`; a test that depends on
+Limitations: a mutant that kills by an import error reports `does not run`; a test that depends on
 files outside the tree cannot be named.
 """
 
@@ -44,7 +43,7 @@ FAILED = 1
 
 
 class Outcome(NamedTuple):
-    """The verdict on a mutant, and what was printed if it was not killed."""
+    """The verdict on a mutant, and the output of pytest if it was not killed."""
 
     verdict: str
     seconds: float
@@ -80,7 +79,7 @@ def pytest(tree: Path, tests: Iterable[str]) -> subprocess.CompletedProcess[str]
 
 
 def paths(mutants: Iterable[Mutant]) -> list[str]:
-    """The tests that they name, each once, as pytest takes them in the tree."""
+    """Return the tests of the mutants, each once, as pytest accepts them in the tree."""
     named = sorted({test.partition("::")[::2] for one in mutants for test in one.tests})
     return [f"{path_of_test(file).relative_to(ROOT)}::{test}" for file, test in named]
 
@@ -102,7 +101,9 @@ def tried(mutant: Mutant, original: Path) -> Outcome:
 
 
 def untouched_fails(chosen: Sequence[Mutant], original: Path) -> str:
-    """The output of pytest if a named test does not pass on the tree as it is; else nothing."""
+    """Return the output of pytest if a named test fails on the unchanged tree; else an
+    empty text.
+    """
     ran = pytest(original, paths(chosen))
     return "" if ran.returncode == PASSED else ran.stdout[-3000:] + ran.stderr[-1000:]
 
@@ -116,7 +117,9 @@ def show(mutant: Mutant, outcome: Outcome) -> bool:
 
 
 def main(words: Sequence[str]) -> int:
-    """Try the mutants whose name holds one of `words`, all without; 1 if any was not killed."""
+    """Test the mutants whose name contains one of `words`, or all; return 1 if any was
+    not killed.
+    """
     chosen = [one for one in mutants() if not words or any(word in one.name for word in words)]
     if not chosen:
         raise SystemExit(f"no mutant of {FOLDER} has one of {', '.join(words)} in its name")

@@ -2,12 +2,13 @@
 
     python tests/soak_lockstep.py --hours 2
 
-The board has the faults of `soak` at random, an operator commands at random and wants force
-(`benchmarks.attack`). Counted are what leaks (the process's own memory, in the half in which it
-grew less: what leaks grows in both) and what is lost: ticks without a record, and commands without
-an answer, each by its number: at the end nothing more is commanded until all that had time to be
-answered are. The result goes to build/soak_lockstep.json after every ten virtual minutes. What
-would break it: records that are kept (`keep=False`), whose memory grows by intent.
+The board has the random faults of `soak`; an operator sends random commands and enables the force
+(`benchmarks.attack`). It counts leaks and losses. A leak is growth of the process's own memory, in
+the half in which it grew less: a leak grows in both. Losses are ticks without a record, and
+commands without an answer, each by its number. At the end no more commands are sent until all due
+answers have arrived. The result goes to build/soak_lockstep.json after every ten virtual minutes.
+
+Limitations: kept records (`keep=False` avoids them) make the memory grow by design.
 """
 
 import argparse
@@ -43,13 +44,13 @@ ANSWERED_TICKS = 500  # in which every command is answered; a scheduled one says
 
 
 def anonymous_kb() -> int:
-    """This process's own memory."""
+    """Return this process's own memory."""
     with open("/proc/self/smaps_rollup") as rollup:
         return sum(int(line.split()[1]) for line in rollup if line.startswith("Anonymous"))
 
 
 class Tally:
-    """What was flown."""
+    """The records and answers of a flight."""
 
     def __init__(self) -> None:
         self.ticks = self.enabled = self.commands = self.missing = 0
@@ -60,13 +61,13 @@ class Tally:
         self._next = 0
 
     def ask(self, posted: dict[int, int]) -> None:
-        """Take over what was commanded since the last call."""
+        """Take over the commands since the last call."""
         self.commands += len(posted)
         self.due |= dict.fromkeys(posted, self.ticks)
         posted.clear()
 
     def add(self, block: bytes, given: Iterable[Answer]) -> None:
-        """Records of some ticks, and the answers that came."""
+        """Take over records of some ticks, and the answers that arrived."""
         rows = np.frombuffer(block, DTYPE)
         self.missing += int((rows["tick"] != np.arange(len(rows)) + self._next).sum())
         self._next = int(rows["tick"][-1]) + 1
@@ -80,7 +81,7 @@ class Tally:
             self.due.pop(answer.seq, None)  # a scheduled one has a second answer
 
     def figures(self) -> dict[str, Any]:
-        """As they are now."""
+        """Return the present counts."""
         unanswered = [seq for seq, tick in self.due.items() if tick <= self.ticks - ANSWERED_TICKS]
         half = len(self.memory_kb) // 2
         grown = [
@@ -103,7 +104,7 @@ class Tally:
 
 
 def fly(hours: float, seed: int) -> dict[str, Any]:
-    """`hours` of virtual time."""
+    """Fly `hours` of virtual time."""
     injections = tuple(
         InjectionParams(
             one.kind,
@@ -135,13 +136,13 @@ def fly(hours: float, seed: int) -> dict[str, Any]:
 
 
 def write(found: dict[str, Any]) -> None:
-    """Into the file of results."""
+    """Write the file of results."""
     RESULT.parent.mkdir(exist_ok=True)
     RESULT.write_text(json.dumps(found, indent=1) + "\n")
 
 
 def main() -> int:
-    """Fly as long as asked for."""
+    """Fly for the requested time."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--hours", type=float, default=float(os.environ.get("HOURS") or 2.0))
     parser.add_argument("--seed", type=int, default=1)

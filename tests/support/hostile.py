@@ -3,9 +3,9 @@ observable outputs.
 
 The actions are read from bytes of any source (a seed, hypothesis). A byte of 0 is a valid frame of
 a host. Others are frames that are damaged, cut, forged with a valid CRC, out of order, early, in
-bursts or repeated; unread frames; silence up to the end of the released damping; the emergency
-stop, board faults, codes at the event pins, requests of endpoint 0 and restarts of the firmware at
-any instant.
+bursts, repeated or unread. There is silence up to the end of the released damping. The emergency
+stop, board faults, codes at the event pins, requests of endpoint 0 and restarts of the firmware
+come at any instant.
 
 All actions are at whole microseconds: on every sub-step of T/16 at 250, 1250, 2500 and 12500 Hz (5
 us), on every second one at 1 kHz.

@@ -1,5 +1,5 @@
-"""Checks of the shipped image of the Pico, one function per subject; each raises AssertionError on
-a failure. tests/acceptance/pico runs them on the shipped image, and on images with a defect; each
+"""Checks of the shipped image of the Pico, one function per subject. Each raises AssertionError on
+a failure. tests/acceptance/pico runs them on the shipped image, and on images with a defect. Each
 defect has to fail one of them.
 """
 

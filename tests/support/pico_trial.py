@@ -1,5 +1,6 @@
-"""A trial of the whole product in lock-step on the emulated board: servo, link and wire as in
-`assembly.lockstep`, the chip in place of the simulated board, the display of fig. 7 at its pins.
+"""A trial of the whole product in lock-step on the emulated board. Servo, link and wire are those
+of `assembly.lockstep`. The chip replaces the simulated board, with the display of fig. 7 at its
+pins.
 
 The board measures no torque and no velocity, so a second instrument does. It shakes the display and
 records interval means at 4 kHz, like a separate data acquisition.

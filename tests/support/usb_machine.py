@@ -2,7 +2,7 @@
 Python, same libraries, another kernel.
 
 The output of the job and its exit code are read from the console, where the guest's first process
-writes one line at the end; the kernel itself always ends with 0. Its processes are one session, and
+writes one line at the end. The kernel itself always ends with 0. Its processes are one session, and
 the remaining ones are killed.
 """
 

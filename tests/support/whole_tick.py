@@ -12,11 +12,11 @@ independently:
     hand       masses, springs and dampers between nodes; node 0 is the rotor
 
 Parts that a display does not have are omitted: one mass alone has two states. In a tick the command
-is the one from `whole` + 1 ticks ago until `part` T, and then the one from `whole` ticks ago, where
-delay = whole + part. Both intervals are solved exactly, by the matrix exponential of Higham (2005),
-for many levels of damping at a time. The law is written as the difference equations of its text,
-with histories of positions, filtered velocities and filtered accelerations (direct form I; the
-package keeps another state).
+is the one from `whole` + 1 ticks ago until `part` T, and then the one from `whole` ticks ago (delay
+= whole + part). Both intervals are solved exactly, by the matrix exponential of Higham (2005), for
+many levels of damping at a time. The law is written as the difference equations of its text, with
+histories of positions, filtered velocities and filtered accelerations (direct form I; the package
+keeps another state).
 
 Limitations: the law must render the whole force (no limit, and no wall that the handle leaves).
 """
@@ -172,9 +172,9 @@ PADE_NORM = 5.37  # up to which it is complete
 
 
 def exponential(matrices: np.ndarray) -> np.ndarray:
-    """e^A of each of `matrices` (L, n, n), which are alike: Pade and squarings (Higham 2005, "The
-    scaling and squaring method for the matrix exponential revisited"), metres and newtons brought
-    to one size first.
+    """Return e^A of each of `matrices` (L, n, n) of similar size: Pade and squarings (Higham 2005,
+    "The scaling and squaring method for the matrix exponential revisited"). Metres and newtons are
+    first scaled to one size.
     """
     _, (scale, _) = matrix_balance(matrices[0], permute=False, separate=True)
     balanced = matrices / scale[:, None] * scale

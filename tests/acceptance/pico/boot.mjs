@@ -1,4 +1,4 @@
-// What the boot ROM does with an image in flash (datasheet 2.8.1.3): it checks the CRC of the
+// The action of the boot ROM on an image in flash (datasheet 2.8.1.3): it checks the CRC of the
 // second boot stage, copies that to the end of SRAM and enters it with LR = 0.
 import { readFileSync } from 'node:fs';
 
@@ -11,7 +11,7 @@ const UF2_BLOCK = 512;
 const UF2_MAGIC = [0x0a324655, 0x9e5d5157, 0x0ab16f30];
 const RP2040_FAMILY = 0xe48bff56;
 
-// Polynomial 04C11DB7, start FFFFFFFF, nothing reflected.
+// Polynomial 04C11DB7, start FFFFFFFF, no reflection.
 export function crc32(data) {
   let crc = 0xffffffff;
   for (const byte of data) {
@@ -40,7 +40,7 @@ function unpacked(file) {
   return Buffer.concat(pieces);
 }
 
-// The boot ROM takes pages of 256 bytes, for this family, in any order; these come in theirs.
+// The boot ROM accepts pages of 256 bytes, for this family, in any order; these are in order.
 function payload(block, index, blocks) {
   const word = (at) => block.readUInt32LE(at);
   const magic = [word(0), word(4), word(508)];
@@ -52,7 +52,7 @@ function payload(block, index, blocks) {
   return block.subarray(32, 288);
 }
 
-// Enter the image in `mcu`; false where the ROM would not (it then waits as a USB drive).
+// Enter the image in `mcu`; return false if the ROM would refuse it (it then waits as a USB drive).
 export function enter(mcu, image) {
   const stage = image.subarray(0, STAGE_BYTES);
   if (crc32(stage) !== image.readUInt32LE(STAGE_BYTES)) return false;

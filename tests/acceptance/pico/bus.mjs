@@ -4,7 +4,7 @@
 import { NAK } from './controller.mjs';
 
 const BIT_NS = 1000 / 12;
-const STUFFED = 7 / 6; // the worst
+const STUFFED = 7 / 6; // worst case
 const OVERHEAD_BITS = 8 * 13; // token, handshake, sync and gaps of a transaction
 const SOF_NS = 35 * BIT_NS;
 const END_NS = 32 * BIT_NS; // before the end of a frame the wire is free
@@ -36,7 +36,7 @@ class Transfer {
     this.size = 0;
     this.stage = setup ? 'setup' : 'data';
     this.inwards = setup ? !!(setup[0] & 0x80) : !!(endpoint & 0x80);
-    this.pipe = setup ? 0 : endpoint; // what is served in turn
+    this.pipe = setup ? 0 : endpoint; // served in rotation
     this.pid = 1; // of endpoint 0's next packet
     if (setup) this.length = setup[6] | (setup[7] << 8);
   }
@@ -78,7 +78,7 @@ export class Bus {
     this.alarm.schedule(SUBMIT_NS);
   }
 
-  // Take a transfer back; one whose packet is on the wire ends with it.
+  // Cancel a transfer; one whose packet is on the wire ends with it.
   cancel(id) {
     this.transfers = this.transfers.filter((transfer) => transfer.id !== id);
   }
@@ -90,7 +90,7 @@ export class Bus {
     this.chip.ended(transfer.id, status, Buffer.concat(transfer.got));
   }
 
-  // What a request that was obeyed means to the host.
+  // Update the host's state after an accepted request.
   obeyed(setup) {
     const request = (setup[0] << 8) | setup[1];
     if (request === SET_ADDRESS) this.address = setup[2];
@@ -115,7 +115,7 @@ export class Bus {
     } else this.transact(transfer);
   }
 
-  // When a transaction of that length fits into a frame.
+  // Return when a transaction of that length fits into a frame.
   roomAt(ns) {
     const now = this.clock.nanosCounter;
     const into = now % FRAME_NS;
@@ -136,7 +136,7 @@ export class Bus {
     else this.out(transfer);
   }
 
-  // The status stage goes against the data.
+  // The status stage has the opposite direction of the data.
   looksInwards({ stage, inwards, length }) {
     return stage === 'status' ? !inwards || !length : inwards;
   }
@@ -156,7 +156,7 @@ export class Bus {
     this.settle(transfer, answer, bytes, () => {
       if (answer.pid !== expected) {
         this.chip.complain('toggle', `EP${endpoint} IN sent DATA${answer.pid} out of turn`);
-        return; // as a packet that came twice: acknowledged and thrown away
+        return; // a repeated packet: acknowledged and dropped
       }
       this.flip(transfer, endpoint | 16);
       this.received(transfer, answer.data);
@@ -205,7 +205,7 @@ export class Bus {
     transfer.pid = 1;
   }
 
-  // The packet passes, and then what it brought about; or the transfer is refused.
+  // End the packet and apply its effects; or refuse the transfer.
   settle(transfer, answer, bytes, then) {
     if (answer.kind === 'ack') {
       this.passing = () => {

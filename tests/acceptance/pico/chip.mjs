@@ -1,6 +1,6 @@
-// The board: an RP2040 that runs an image from flash in rp2040js, with all around it that this
-// library lacks or has wrong, one subject a file. All time is the chip's, in nanoseconds since the
-// emulator began.
+// The board: an RP2040 that runs an image from flash in rp2040js, with models of everything that
+// this library lacks or does wrong, one subject per file. All time is the chip's, in nanoseconds
+// since the start of the emulator.
 //
 // It complains where a chip would fail or might: kinds are
 //   address     a write to what is not to be written     available   AVAILABLE with other bits
@@ -25,7 +25,7 @@ import { Watchdog } from './watchdog.mjs';
 
 const PIECE_NS = 62_500; // of the plant: within one its force is held
 const MOST_KEPT = 4096; // changes of outputs
-const NEAR_NS = 0.001; // of times: a nap of less may be none, by rounding
+const NEAR_NS = 0.001; // tolerance of times: a shorter sleep may round to zero
 const ESHUTDOWN = -108;
 const FIRST_SEED = 12345;
 
@@ -41,7 +41,7 @@ export class Chip {
     this.startNanos = 0;
     this.unplugs = 0;
     this.resets = 0;
-    this.complaints = new Map(); // "kind: text" to what is known of it
+    this.complaints = new Map(); // "kind: text" to its details
     this.changes = [];
     this.finished = [];
     this.amplifier = 0;
@@ -135,13 +135,13 @@ export class Chip {
     };
   }
 
-  // --- what comes out ----------------------------------------------------------------------------
+  // --- outputs -----------------------------------------------------------------------------------
   enable(level) {
     this.amplifier = level;
     this.note();
   }
 
-  // An output that has changed acts on the plant from the next piece on, so the run ends there.
+  // A changed output acts on the plant from the next piece on, so the run ends there.
   note() {
     const { standing, outputs } = this;
     for (const name of Object.keys(outputs)) {
@@ -168,7 +168,7 @@ export class Chip {
     this.plan.begin(Math.round(this.nanos / PIECE_NS) * PIECE_NS, PIECE_NS, counts);
   }
 
-  // Run until `until`, a transfer has ended, or the end of a piece in which an output changed.
+  // Run until `until`, the end of a transfer, or the end of a piece in which an output changed.
   run(until) {
     this.stop = this.finished.length > 0;
     this.limit = this.changed ? Math.min(until, this.pieceEnd) : until;
@@ -181,7 +181,7 @@ export class Chip {
     }
   }
 
-  // To the next alarm in one step.
+  // Advance to the next alarm in one step.
   nap() {
     const { clock } = this.mcu;
     const left = this.limit - this.startNanos;
@@ -190,7 +190,7 @@ export class Chip {
     clock.tick(Math.max(0, next - clock.nanosCounter));
   }
 
-  // Instructions until the processor sleeps or something else happens.
+  // Run instructions until the processor sleeps or another event occurs.
   work() {
     const { mcu } = this;
     const { core, clock } = mcu;

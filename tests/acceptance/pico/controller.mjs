@@ -1,9 +1,9 @@
-// The device controller of the RP2040 as the wire sees it (datasheet 4.1.2), in place of that of
-// rp2040js, which takes every packet at once and knows neither NAK, STALL, toggles nor address.
+// The device controller of the RP2040 on the wire (datasheet 4.1.2). It replaces that of rp2040js,
+// which accepts every packet at once and has no NAK, STALL, toggles or address.
 //
-// A packet takes its time on the wire: `begin…` says what the controller answers to a token, and
-// what it returns has a `finish` to be called when the packet is over. In between the buffer is the
-// controller's, and EP_ABORT is not done.
+// A packet takes its time on the wire: `begin…` returns the controller's answer to a token, with a
+// `finish` to be called at the end of the packet. In between the controller owns the buffer, and
+// EP_ABORT is not done.
 const FULL = 1 << 15;
 const DATA1 = 1 << 13;
 const STALL = 1 << 11;
@@ -39,15 +39,15 @@ export class Controller {
     this.view = mcu.usbDPRAMView;
     this.complain = complain;
     this.aborts = chipId >>> VERSION_SHIFT >= VERSION_B2; // RP2040-E2: B0 and B1 cannot
-    this.last = new Uint32Array(32); // buffer controls, as they stand
+    this.last = new Uint32Array(32); // current buffer controls
     this.busy = -1; // the one whose packet is on the wire
-    this.ordered = true; // a bus reset or a request is being worked on
+    this.ordered = true; // a bus reset or a request is being processed
     this.usb.DPRAMUpdated = (offset, value) => this.controlWritten(offset, value);
     this.watchRegisters();
     this.takeBytes();
   }
 
-  // rp2040js writes a byte as a word that it has read, which the buffers need not.
+  // rp2040js writes a byte as a word after reading it, which the buffers do not need.
   takeBytes() {
     const { mcu } = this;
     const write = mcu.writeUint8.bind(mcu);
@@ -72,7 +72,7 @@ export class Controller {
     };
   }
 
-  // --- what the firmware does --------------------------------------------------------------------
+  // --- actions of the firmware -------------------------------------------------------------------
   controlWritten(offset, value) {
     if (offset < BUFFER_CONTROLS || offset >= BUFFER_CONTROLS_END) return;
     const index = (offset - BUFFER_CONTROLS) >> 2;
@@ -87,8 +87,7 @@ export class Controller {
     }
   }
 
-  // EP0's are given up when a SETUP comes, all where the host resets or configures; else only an
-  // abort gives one back.
+  // A SETUP releases EP0's buffers, a bus reset or configuration all; otherwise only an abort does.
   owned(index, before) {
     if (index === this.busy) return true;
     const free = index < 2 || this.ordered || (this.usb.epAbortDone >>> index) & 1;
@@ -109,7 +108,7 @@ export class Controller {
     this.usb.checkInterrupts();
   }
 
-  // --- what the bus asks -------------------------------------------------------------------------
+  // --- requests of the bus -----------------------------------------------------------------------
   get connected() {
     const { clocks, pllUsb } = this.mcu;
     const clocked = clocks.usbCtrl & CLK_USB_ON && Math.abs(pllUsb.frequency - USB_HZ) < 1;
@@ -118,7 +117,7 @@ export class Controller {
     return !!(pulled && clocked);
   }
 
-  // Of the endpoint's direction: 0 OUT of host, 1 IN; which has an even number.
+  // By the endpoint's direction: 0 OUT of the host, 1 IN, which has an even number.
   static index(endpoint, inwards) {
     return 2 * endpoint + (inwards ? 0 : 1);
   }
@@ -172,7 +171,7 @@ export class Controller {
     return { kind: 'ack', finish };
   }
 
-  // What an endpoint says before any data: null if it takes part.
+  // Return an endpoint's answer before any data; null if it accepts the token.
   refusal(address, index, control) {
     if (!this.answers(address) || !this.enabled(index)) return NOBODY;
     const stalls = index >= 2 || (this.usb.epStallArm >>> index) & 1;
@@ -210,13 +209,13 @@ export class Controller {
     return { kind: 'ack', finish };
   }
 
-  // Acknowledged, and thrown away as one that came twice.
+  // Acknowledged and dropped as a repeated packet.
   mistaken(endpoint, expected) {
     this.complain('toggle', `EP${endpoint} OUT expects DATA${expected}, the other came`);
     this.raise(SIE_DATA_SEQ);
   }
 
-  // The buffer goes back to the firmware.
+  // Return the buffer to the firmware.
   pass(index, control) {
     const { usb } = this;
     this.busy = -1;

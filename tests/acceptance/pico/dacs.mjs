@@ -1,7 +1,6 @@
 // The two-channel DACs that the board may have, and the analog circuit behind them, in counts of
 // the wire: a torque from A and a damping factor from B, or a damping factor from A and a trim of
-// the resistance from B. They have power of their own: a reset of the processor leaves their
-// outputs as they are.
+// the resistance from B. They have their own power: a reset of the processor keeps their outputs.
 const MID = 0x8000;
 const ALL = 0x10000;
 const CR0 = 0x0;
@@ -10,7 +9,7 @@ const SPH = 1 << 7;
 
 // DAC8563 (SLAS719): 24-bit frames, sampled at the falling edge; starts at mid-scale with its
 // reference off. Torque is the difference to the reference's pin, so it is 0 until that is on;
-// damping takes the upper half of B. LDAC lies at ground: what is written acts.
+// damping uses the upper half of B. LDAC is at ground: writes act at once.
 class Dac8563 {
   static takes = (bits) => bits === 24;
   static fastestHz = 50e6;
@@ -26,7 +25,7 @@ class Dac8563 {
     this.reference = false;
   }
 
-  // False: no such command.
+  // Return false for an unknown command.
   obey(word) {
     const command = (word >> 19) & 7;
     const address = (word >> 16) & 7;
@@ -35,7 +34,7 @@ class Dac8563 {
     else if (command === 0 || command === 2 || command === 3) return this.write(address, data);
     else if (command === 5) this.powerUp();
     else if (command === 7) this.refer(data & 1);
-    else return command === 4 || command === 6; // power modes and LDAC masks: as they are
+    else return command === 4 || command === 6; // power modes and LDAC masks: unchanged
     return true;
   }
 
@@ -96,9 +95,9 @@ class Mcp4922 {
   }
 }
 
-// DAC8812 (SBAS349): frames of which the last 18 bits count, sampled at the rising edge; it
-// multiplies, so its codes are shares of what the circuit puts in. With MSB at ground it starts at
-// zero. Its select has a pull-up, so that a reset of the processor is no frame. LDAC is at ground.
+// DAC8812 (SBAS349): the last 18 bits of a frame count, sampled at the rising edge. It multiplies,
+// so its codes are shares of the circuit's input. With MSB at ground it starts at zero. Its select
+// has a pull-up, so a reset of the processor is not a frame. LDAC is at ground.
 class Dac8812 {
   static takes = (bits) => bits >= 18;
   static fastestHz = 50e6;

@@ -1,6 +1,6 @@
 // The flash behind the SSI (datasheet 4.10): read in place while the controller is in the mode of
-// the boot stage, and asked for its unique id by command 4Bh (W25Q16JV 8.2.31). The controller
-// selects the flash as long as its FIFO holds something.
+// the boot stage; its unique id is read by command 4Bh (W25Q16JV 8.2.31). The controller selects
+// the flash as long as its FIFO is not empty.
 const SSI = 0x18000;
 const CTRLR0 = 0x00;
 const SSIENR = 0x08;
@@ -72,6 +72,6 @@ export class Flash {
       return;
     }
     this.alarmed = false;
-    this.command = []; // not selected any more
+    this.command = []; // deselected
   }
 }

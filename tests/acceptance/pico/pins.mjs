@@ -1,6 +1,5 @@
-// What is connected to the pins: levels that are driven, wires that are open (the pad's pull then
-// decides, or the last level stays), the quadrature encoder, the amplifier's enable input with its
-// pull-down.
+// The connections of the pins: driven levels, open wires (the pad's pull decides, or the last level
+// stays), the quadrature encoder, and the amplifier's enable input with its pull-down.
 const PADS = 0x4001c;
 const QUADRATURE = [0, 1, 3, 2]; // B << 1 | A, in the direction that counts up
 const OPEN = 2;
@@ -9,11 +8,11 @@ export class Pins {
   constructor(numbers) {
     this.numbers = numbers; // a, b, stop, ready, amplifier
     this.driven = new Map(); // pin: 0, 1 or OPEN
-    this.levels = new Map(); // as the pads see them
+    this.levels = new Map(); // at the pads
     this.count = 0;
   }
 
-  // Connect them to a chip that has just come out of reset.
+  // Connect them to a chip just out of reset.
   attach(mcu, pios, onAmplifier) {
     this.mcu = mcu;
     this.pios = pios;
@@ -31,7 +30,7 @@ export class Pins {
     this.showEncoder(true);
   }
 
-  // rp2040js asks all thirty pins at each step of a PIO program.
+  // rp2040js reads all thirty pins at each step of a PIO program.
   cacheInputs() {
     const { mcu } = this;
     const prototype = Object.getPrototypeOf(mcu);
@@ -84,7 +83,7 @@ export class Pins {
     this.show(this.numbers.b, state >> 1, anew);
   }
 
-  // Both signals change at once, as no encoder does.
+  // Both signals change at once, as in no real encoder.
   skip() {
     const { mcu, numbers, levels } = this;
     this.pios.catchUpAll();

@@ -1,9 +1,9 @@
-// PIO in the chip's time. rp2040js runs its state machines in turns of node's event loop; here the
-// enabled ones are stepped up to the present cycle before each access of the processor and each
-// edge at a pin, so a program sees every edge at the cycle in which it comes.
+// PIO in the chip's time. rp2040js runs its state machines in node's event loop. Here the enabled
+// ones are stepped up to the present cycle before each access of the processor and each edge at a
+// pin, so a program sees every edge at its cycle.
 //
-// What would break it: a program that times or makes pulses. After IDLE_STEPS without an edge or an
-// access one is taken to go round in circles, which a decoder of edges does.
+// Limitations: a program that measures or makes pulses. After IDLE_STEPS without an edge or an
+// access a program is assumed to loop, as a decoder of edges does.
 const IDLE_STEPS = 64;
 const PLACES = { 0x50200: 0, 0x50300: 1 };
 

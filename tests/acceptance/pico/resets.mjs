@@ -1,6 +1,6 @@
-// What rp2040js leaves out of the chip's state at power-up: RESETS holds the peripherals, pads have
-// their input enabled, clk_sys is the ring oscillator, SRAM holds noise, and no tick runs. Each
-// access is watched for what a chip would not forgive.
+// The state at power-up that rp2040js omits: RESETS holds the peripherals, pads have their input
+// enabled, clk_sys is the ring oscillator, SRAM contains noise, and no tick runs. Each access is
+// checked for violations that a real chip would not tolerate.
 const PAD_AT_RESET = 0x56; // input enabled, pulled down, Schmitt
 const ALL = 0x01ffffff;
 const ROSC_HZ = 6.5e6;
@@ -51,7 +51,7 @@ export class Resets {
     this.registers = resets;
   }
 
-  // Timer and watchdog count ticks of clk_ref over CYCLES, which rp2040js takes for 1 MHz always.
+  // Timer and watchdog count ticks of clk_ref over CYCLES; rp2040js assumes 1 MHz always.
   watchTick() {
     const watchdog = this.mcu.peripherals[WATCHDOG];
     watchdog.tickEnable = false;

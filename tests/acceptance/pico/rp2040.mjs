@@ -1,5 +1,5 @@
-// rp2040js, from the folder of modules that HAPTICD_NODE_MODULES names, and the inner names of it
-// that this folder uses. They are no promise of that library, so each is looked for at the start.
+// rp2040js, from the folder of modules in HAPTICD_NODE_MODULES, and its internal names that this
+// folder uses. That library does not guarantee them, so each is checked at the start.
 import { createRequire } from 'node:module';
 
 const { RP2040 } = createRequire(`${process.env.HAPTICD_NODE_MODULES}/`)('rp2040js');
@@ -38,7 +38,7 @@ const NAMES = {
   ],
 };
 
-// The names that this version of rp2040js does not have, as "place.name".
+// Return the names that this version of rp2040js lacks, as "place.name".
 export function missingNames(names = NAMES) {
   const mcu = new RP2040();
   const missing = [];

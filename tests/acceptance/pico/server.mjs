@@ -1,5 +1,5 @@
-// The board as a process. Requests come at stdin and replies leave at stdout, little-endian, each a
-// u32 of length and so many bytes; the first byte of a request is its verb
+// The board as a process. Requests arrive at stdin and replies leave at stdout, little-endian, each
+// a u32 length and that many bytes; the first byte of a request is its verb
 // (tests/support/pico_chip).
 import { readSync, writeSync } from 'node:fs';
 import { readImage } from './boot.mjs';
@@ -9,7 +9,7 @@ import { missingNames } from './rp2040.mjs';
 const STATE_BYTES = 49;
 const ENDED_BYTES = 12;
 const SETUP_BYTES = 8;
-const MISSING = 3; // exit status: names of rp2040js are gone
+const MISSING = 3; // exit status: names of rp2040js are missing
 
 const missing = missingNames();
 if (missing.length) {
@@ -86,7 +86,7 @@ const VERBS = {
   7: () => reply(Buffer.from(JSON.stringify(told()))),
   8: () => (chip.halted = true), // the processor hangs
   9: () => chip.pins.skip(),
-  10: () => (chip.mcu.core.enabledInterrupts = 0), // deaf: it runs and gets no interrupt
+  10: () => (chip.mcu.core.enabledInterrupts = 0), // deaf: it runs without interrupts
 };
 
 function take(size) {

@@ -1,6 +1,6 @@
-// The timer's alarms as the chip has them (datasheet 4.6): they fire when the counter reaches their
-// value, not up to a microsecond before it, and one that is set to a value which has been reached
-// waits until the counter comes there again.
+// The timer's alarms as in the chip (datasheet 4.6): they fire when the counter reaches their
+// value, not up to a microsecond earlier. One that is set to a past value waits until the counter
+// reaches it again.
 const TIMER = 0x40054;
 const ALARM0 = 0x10;
 const ALARM3 = 0x1c;

@@ -1,5 +1,5 @@
-// The reset by the chip's watchdog. In rp2040js its alarm sets itself anew at once, for ever, so it
-// is stopped first; the chip then comes up anew, with the scratch registers and the reason kept.
+// The reset by the chip's watchdog. In rp2040js its alarm restarts itself endlessly, so it is
+// stopped first. The chip then restarts, with the scratch registers and the reason kept.
 const WATCHDOG = 0x40058;
 const PSM = 0x40010;
 const ALL_BUT_OSCILLATORS = 0x1fffc;
@@ -21,7 +21,7 @@ export class Watchdog {
     };
   }
 
-  // What outlives the reset.
+  // State that survives the reset.
   get kept() {
     return { scratch: this.watchdog.scratchData, reason: this.watchdog.reason };
   }

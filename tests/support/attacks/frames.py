@@ -3,9 +3,9 @@
 A tape has FRAMES frames of a board that counts its ticks; the host reads one per tick. A third of
 the frames is unchanged. The others have damaged bits or damaged fields under a valid CRC, or are
 replaced by noise, cut, repeated or omitted. The test decides independently which frames are valid,
-for all frames of a tape at once, by a table of CRCs that `numpy` computes from the definition of
-the polynomial. It uses no part of the code under test. An invalid frame must never be accepted, and
-a valid one never refused. The device never raises and returns the fields of the frame.
+for all frames of a tape at once. It uses a table of CRCs that `numpy` computes from the definition
+of the polynomial. It uses no part of the code under test. An invalid frame must never be accepted,
+and a valid one never refused. The device never raises and returns the fields of the frame.
 """
 
 from array import array
