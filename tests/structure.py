@@ -3,9 +3,9 @@
     python tests/structure.py            a table of the packages, then the totals with their limits
     python tests/structure.py --json     the same for scripts
 
-A statement is a node of the syntax tree (`ast.stmt`) that is not a docstring. A name across packages
-is a (module, name) that a `from` import takes from another package of hapticd. An error in a package
-of MOTOR may move a motor.
+A statement is a node of the syntax tree (`ast.stmt`) that is not a docstring. A name across
+packages is a (module, name) that a `from` import takes from another package of hapticd. An error in
+a package of MOTOR may move a motor.
 """
 
 import argparse

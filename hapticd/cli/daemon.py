@@ -105,11 +105,11 @@ def run(
 
 
 POLICIES = {
-    "off": "nobody judges what you ask for",
-    "warn": "what is not passive is done, with a warning",
-    "clamp": "what is not passive is done as far as it is",
-    "refuse": "what is not passive is refused",
-    "follow": "what is not passive is refused, and the environment follows the damping",
+    "off": "no change is judged",
+    "warn": "a change that is not passive is applied, with a warning",
+    "clamp": "a change that is not passive is applied as far as it is safe",
+    "refuse": "a change that is not passive is refused",
+    "follow": "a change that is not passive is refused; the environment follows the active damping",
 }
 
 
@@ -238,7 +238,7 @@ def compensation_lines(known: Compensation | None) -> list[str]:
     compensated = f"{known.compensated_ohm:.4g} ohm compensated"
     left_ohm = known.residual_ohm
     if left_ohm is None:
-        return [f"{compensated}; without a sensor what is left is not known"]
+        return [f"{compensated}; without a sensor the rest is unknown"]
     side = "too little" if left_ohm >= 0.0 else "TOO MUCH"
     here = "unknown" if known.loop_gain is None else f"{known.loop_gain:+.3g}"
     return [

@@ -39,7 +39,7 @@ def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     with connect(instance) as client:
         leases = client.status().leases
     held = {what: asdict(one) for what, one in leases.items()}
-    lines = lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]
+    lines = lease_lines(leases) or ["no client holds a lease: any client may change everything"]
     terminal.show({"leases": held}, lines, as_json)
 
 
@@ -85,8 +85,8 @@ def release(
         lease.take()
         lease.release()
     held = {name: asdict(one) for name, one in before.items()}
-    lines = [f"before: {line}" for line in lease_lines(before) or ["nobody held a lease"]]
-    lines.append(f"{what} is anyone's to change")
+    lines = [f"before: {line}" for line in lease_lines(before) or ["no client held a lease"]]
+    lines.append(f"{what} may be changed by any client")
     terminal.show({"what": what, "before": held}, lines, as_json)
 
 

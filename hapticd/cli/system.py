@@ -91,7 +91,7 @@ def _template_rules(device: "device_files.DeviceFile") -> Iterator["load.Mistake
             ("serial",),
             repr(TEMPLATE_SERIAL),
             "is the template's; copy it to devices/NAME.toml, and write your board's serial number,"
-            " as `lsusb -v` says it",
+            " as `lsusb -v` shows it",
         )
 
 
@@ -233,7 +233,7 @@ def _timing(status: dict[str, Any] | None) -> "list[checks.CheckResult]":
     delay = checks.CheckResult("force delay", probes.OK, words)
     if known.delay_us > US_PER_S / known.rate_hz:
         why = "a force that comes more than a period late makes stiff walls and damping active"
-        fix = "look what else is on the board's bus, or at its sample phase"
+        fix = "check the other devices on the board's bus, and its sample phase"
         delay = checks.CheckResult("force delay", probes.WARN, words, why, fix)
     costs = timing_words(known.guard.timing if known.guard else None)
     stiffness = [checks.CheckResult("stiffness", probes.OK, costs)] if costs else []

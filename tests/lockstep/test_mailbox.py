@@ -334,7 +334,8 @@ def test_what_is_in_the_way_is_named(tmp_path, name):
     with pytest.raises(
         MailboxError,
         match=(
-            rf"{name}: Is a directory; make room, correct its rights or remove what is in the way"
+            rf"{name}: Is a directory; free some space, correct its permissions or remove"
+            " the obstacle"
         ),
     ):
         ServoMailbox(tmp_path, 1000.0, "", True, 5)

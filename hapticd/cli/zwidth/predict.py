@@ -112,7 +112,7 @@ def _motion(radius: float, period_s: float) -> str:
 
 def _theorem(found: "forecast.Forecast") -> str:
     if found.refused or not found.stable:
-        return "says nothing: it presumes K >= 0 and a stable loop"
+        return "no answer: it presumes K >= 0 and a stable loop"
     if found.theorem_passive:
         return f"{found.theorem_margin:.3g} N s/m to spare for every input, without friction"
     return f"{-found.theorem_margin:.3g} N s/m missing without friction"

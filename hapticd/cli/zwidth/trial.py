@@ -289,7 +289,7 @@ def _check(asked: TrialOptions) -> None:
         )
     if asked.mark and (asked.source not in MARKED or asked.excitation == "multisine"):
         raise typer.BadParameter(
-            "--mark: only the noise of live and lockstep trials is marked; leave that out"
+            "--mark: only the noise of live and lockstep trials is marked; omit that option"
         )
     if asked.until_decided and asked.excitation == "multisine":
         raise typer.BadParameter(
