@@ -61,7 +61,7 @@ WITHOUT = {
     Capability.PROBE: "perturbation and impedance need a DAQ of your own",
     Capability.INTERVAL_MEAN: "pairs are instants: their skew is corrected, but not for free",
     Capability.TEMPERATURE: "an overheated winding stays unnoticed: keep limits.force_n low",
-    Capability.EMERGENCY_STOP: "a pressed stop is not reported: the servo infers it later",
+    Capability.EMERGENCY_STOP: "a pressed stop is inferred from missing force, not reported",
     Capability.AMPLIFIER_READY: "an amplifier that is off looks like a motor without authority",
     Capability.SAMPLE_PHASE: "the delay cannot be made as short as the bus allows",
 }
