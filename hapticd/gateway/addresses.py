@@ -136,7 +136,8 @@ def listen_at(port: Port, path: Path) -> str:
     except OSError as error:
         listener.close()
         raise MailboxError(
-            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
+            f"{path}: {error.strerror}; free some space, correct its permissions"
+            " or remove the obstacle"
         ) from error
     port.listen(listener)
     return f"ipc://{path}"

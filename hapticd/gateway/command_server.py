@@ -77,9 +77,9 @@ TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
 OVERTAKEN = "a stop followed it; check that it is safe, then ask again"
-OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
+OUTDATED = "the gateway stalled for more than 1 s and dropped this request; repeat it"
 SERVO_ENDED = CommandError(
-    "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
+    "servo_down", "the servo ended before it answered; after its restart it is disabled"
 )
 
 Reply = list[bytes]

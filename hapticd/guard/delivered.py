@@ -5,7 +5,7 @@ The records of the last 4 s are kept in 16 blocks of sums of products, from whic
 itself, inside its converters and while it grants torque; only one level of damping at a time; and a
 block that tells nothing takes its place too, so what is known gets old.
 
-Low is an interval whose upper end stays below 80 % of what is commanded for 3 s. That is told once
+Low is an interval whose upper end stays below 80 % of the command for 3 s. That is told once
 until it is enough again; it is the fault where the environment in force relies on more.
 
 Records must be consecutive, or `forget` called between them.
@@ -51,11 +51,11 @@ KEPT = 16  # blocks
 UNEVEN = 0.05  # of a period, between samples that follow each other
 STEADY = 0.02  # change of level beyond which the past is of another one
 SETTLED = 5.0  # time constants of the smoothing until what was before is forgotten
-LOW = 0.8  # of what is commanded
+LOW = 0.8  # of the command
 LOW_BLOCKS = 12  # in a row: 3 s
 NOT_BELIEVED = int(Flag.MISSING_IN | Flag.SEEDED | Flag.DOUBTED | Flag.GLITCH | Flag.INTERPOLATED)
 
-NO_DEVICE = "unknown: the device file does not say the force per ampere"
+NO_DEVICE = "unknown: the device file has no force per ampere"
 NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
 
 

@@ -290,7 +290,7 @@ class _Judged:
         if "filters" in planner.change:
             return self._not_clamped(why, "filters are not clamped")
         if planner.enable or not planner.moving:
-            return self._not_clamped(why, "there is no way to clamp to")
+            return self._not_clamped(why, "there is no safe change to clamp to")
         if not all(self.region.safe([planner.now, self.target])):
             inside = why.and_remedy(Remedy.POINT_INSIDE, "for a point inside")
             return self._not_clamped(inside, "the environment is outside the safe set already")
@@ -298,7 +298,7 @@ class _Judged:
         if plan.end == self.target:
             return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
-            return self._not_clamped(why, "what is left of it is not safe either")
+            return self._not_clamped(why, "the rest of it is not safe either")
         given = f"given is {self._spare(plan.end)}"
         return self._taken(plan, Outcome.CLAMPED, why.and_reason(Reason.GIVEN, given))
 
@@ -361,7 +361,7 @@ class _Judged:
         """The environment into the smaller set first, then less damping."""
         small = None if "filters" in self.planner.change else self._smaller()
         if small is None:
-            text = "no smaller environment would do either"
+            text = "no smaller environment is enough either"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         names = (*AXES, "wall") if self.wanted.wall.side else AXES
         first = Stage({name: small.message()[name] for name in names})

@@ -23,9 +23,9 @@ def refused(change: PendingChange, why: Explanation) -> CommandError:
 
 def unknown_refused(change: PendingChange) -> CommandError:
     """The refusal by a strict policy, with the policy that would accept the change."""
-    remedy = "`hapticd guard warn` would do it all the same"
+    remedy = "`hapticd guard warn` would apply it anyway"
     if change.strict:
-        remedy = "under `warn` a client that is not strict would do it all the same"
+        remedy = "under `warn` a client that is not strict could apply it anyway"
     why = explanation_of(change.verdict)
     why = why.and_reason(Reason.POLICY, f"policy {change.policy} refuses that")
     return refused(change, why.and_remedy(Remedy.POLICY, remedy))

@@ -60,7 +60,7 @@ CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothin
 LEAST_CHOICE_NS = NS_PER_S
 SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # that a request waits for the delay to be known
 UNSETTLED = "the delay of the loop is not measured yet; ask again"
-SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
+SERVO_GONE = "the servo ended before the change was in force; after its restart it is disabled"
 
 
 class GuardedQueue:

@@ -104,7 +104,7 @@ def refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        remedy = "make room, correct its rights or remove what is in the way"
+        remedy = "free some space, correct its permissions or remove the obstacle"
         raise MailboxError(f"{path}: {error.strerror}", remedy) from error
 
 

@@ -248,7 +248,7 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
         ),
         Result.REFUSED_REVISION: (
             "refused",
-            "what is rendered or damped has changed since this was judged; ask again",
+            "the environment or active damping has changed since this was judged; repeat it",
         ),
         Result.REFUSED_TERMS: (
             "refused",

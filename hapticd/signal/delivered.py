@@ -28,7 +28,7 @@ known beforehand: a is 1 +- 0.5, b q 0 +- 0.15, tau 0.15 +- 0.15 ms and the ampl
 the equations, which no number of samples averages. The interval is Student's (95 %) of the
 estimates without each block in turn (jackknife: Quenouille 1956, Tukey 1958), widened by those
 bounds, by what the encoder's counts take from a slope, and by 3 % for the calibration of current
-and force. An interval wider than +- 25 % of what is commanded is `unknown`: the handle rests, or
+and force. An interval wider than +- 25 % of the command is `unknown`: the handle rests, or
 force and velocity cannot be told apart.
 
 Limitations: a damping circuit much slower than 0.3 ms, a scale of current or position that is wrong
@@ -70,8 +70,8 @@ WINDOW = 8  # periods over which means are taken
 SIMPSON = np.array([1.0, 4.0, 2.0, 4.0, 2.0, 4.0, 2.0, 4.0, 1.0]) / 24.0
 STUDENT = (2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131)  # 97.5 %, LEAST to 16
 CALIBRATION = 0.03  # of the scales of current and force
-RESISTANCE = 0.05  # of what the device file says of it
-WIDEST = 0.25  # of what is commanded: an interval of +- more says nothing
+RESISTANCE = 0.05  # of the value in the device file of it
+WIDEST = 0.25  # of the command: an interval of +- more says nothing
 WIDEST_NS_PER_M = 0.1  # the same where little is commanded
 LEAST_NS_PER_M = 1.0  # for which allowances are made, where less is commanded
 MOST_ATTENUATED = 0.1  # share of counting noise in a velocity

@@ -454,8 +454,8 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
     low, high = band_hz
     if low < trial.lowest_hz and not below_window:
         raise AnalysisError(
-            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz;"
-            " begin there, or take a longer one"
+            f"band from {low:g} Hz: the {trial.span} contains nothing below {trial.lowest_hz:.3g}"
+            " Hz; start there, or record a longer one"
         )
     least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
     if trial.degrees_of_freedom < least:
@@ -466,7 +466,7 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
     half_rate_hz = 0.5 * trial.rate_hz
     if low <= half_rate_hz and high > half_rate_hz * (1.0 + 1e-12):
         raise AnalysisError(
-            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above"
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz contain nothing above"
             f" {half_rate_hz:g} Hz; end there"
         )
     if not low <= min(high, half_rate_hz) or not trial.band(band_hz).frequency_hz.size:

@@ -123,8 +123,8 @@ def _processes(count: int) -> Iterator[Executor]:
             yield tasks
     except BrokenExecutor as error:
         raise HapticdError(
-            f"a worker process died, killed or out of memory ({error}); begun again, a map goes on"
-            " from what it has kept"
+            f"a worker process died, killed or out of memory ({error}); restarted, a map"
+            " continues from its stored trials"
         ) from error
 
 
@@ -147,8 +147,8 @@ def _cluster(address: str) -> Iterator[Executor]:
         except (distributed.KilledWorker, CancelledError) as error:
             raise HapticdError(
                 f"the Dask cluster at {address} lost its scheduler or too many workers"
-                f" ({str(error) or 'tasks were given up'}); begun again, a map goes on from what it"
-                " has kept"
+                f" ({str(error) or 'tasks were given up'}); restarted, a map continues from"
+                " its stored trials"
             ) from error
 
 
@@ -189,8 +189,8 @@ def _look_at_workers(client: Any, address: str) -> None:
         ]
         if unlike:
             raise ConfigError(
-                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on where they"
-                " were made; install the same there and start the worker anew"
+                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on the"
+                " machine; install the same versions there and restart the worker"
             )
 
 

@@ -58,7 +58,7 @@ LOOK_S = 0.05
 SILENT_LOOKS = 40  # without a message: 2 s
 CHANGED = TrialEnd(
     EndReason.CHANGED,
-    "someone changed what was rendered or the perturbation; be alone at the device, and"
+    "another client changed the environment or the perturbation; disconnect other clients, and"
     " repeat the trial",
 )
 

@@ -209,8 +209,8 @@ def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
     files = [(path, *_display(path)) for path in paths]
     if len(files) < 2:
         raise AnalysisError(
-            "one display is no comparison; name two files that `hapticd zwidth report` wrote, or"
-            " more"
+            "one display is not a comparison; give at least two files that `hapticd zwidth report`"
+            " wrote"
         )
     names = EnvelopeConditions.__dataclass_fields__
     if wrong := set(allow) - set(names):

@@ -121,7 +121,7 @@ def read_file(
             return _of_trial(path, columns, recorded)
     if counter:
         raise AnalysisError(
-            f"{path}: a recording numbers its samples itself, --counter {counter}: leave that out"
+            f"{path}: a recording numbers its samples itself, --counter {counter}: omit that option"
         )
     if rate_hz is not None and abs(rate_hz - ours.rate_hz) > SAME_RATE * ours.rate_hz:
         raise AnalysisError(
@@ -138,8 +138,8 @@ def _whole_file(path: Path) -> Iterator[None]:
         yield
     except (*BROKEN, LookupError, TypeError, AttributeError) as error:
         raise ConfigError(
-            f"{path}: hapticd wrote it, but it is no longer whole ({error!r}); take it from where"
-            " it was written"
+            f"{path}: hapticd wrote it, but it is damaged ({error!r}); copy it again"
+            " from its origin"
         ) from error
 
 
@@ -244,7 +244,7 @@ def _counted(path: Path, name: str, known: dict[str, Floats], count: int) -> tup
     if name.lower() not in known:
         raise AnalysisError(
             f"{path}: no column {name}; it has {', '.join(known)}; name its counter of samples with"
-            " --counter, or leave that out"
+            " --counter, or omit that option"
         )
     counts = _column(path, name, known[name.lower()])
     if counts.size != count:

@@ -40,8 +40,7 @@ MOST_MISSING = 0.1  # share of a record; with more it is no record of one trial
 SLOWEST_HZ = 20.0  # nothing about a display is known from fewer samples
 USUAL_HZ = (100.0, 1e5)
 REMEDY = (
-    "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is"
-    " whole"
+    "sort the rows and remove duplicates, cut the record there, or give --rate-hz if it is complete"
 )
 BITS = 48  # of the longest counter
 WRAP = 1 << BITS
@@ -179,7 +178,7 @@ def _in_order(place: Integers) -> Integers:
 def _uneven(steps: Floats) -> str:
     return (
         f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are"
-        " missing or it is no time: cut the record there, or say --rate-hz if it is whole"
+        " missing or it is not a time: cut the record there, or give --rate-hz if it is complete"
     )
 
 

@@ -172,8 +172,8 @@ def multisine_spectra(recorded: TrialRecord, layout: MultisineLayout) -> Periodi
     if not count:
         raise AnalysisError(
             f"record of {recorded.seconds:.3g} s: a realisation of 1 + {layout.periods} periods of"
-            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record it whole,"
-            " or say its --periods"
+            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record all of it,"
+            " or give its --periods"
         )
     force, velocity = (
         channel[: count * layout.samples].reshape(count, layout.periods + 1, PERIOD)[:, 1:]
