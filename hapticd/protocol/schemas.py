@@ -122,7 +122,7 @@ class CommandMessage(MessagePart):
 
 
 class Hello(CommandMessage):
-    """Who is there: versions, limits, endpoints; gives the client a name."""
+    """Return versions, limits and endpoints; set the name of the client."""
 
     cmd: Literal["hello"]
     name: str = Field(
@@ -133,7 +133,7 @@ class Hello(CommandMessage):
 
 
 class Get(CommandMessage):
-    """The parameters in force."""
+    """Return the parameters in force."""
 
     cmd: Literal["get"]
 
@@ -158,7 +158,7 @@ else:
 
 
 class Judged(CommandMessage):
-    """Common to what the guard judges."""
+    """Base of the requests that the guard judges."""
 
     strict: bool = Field(
         False,
@@ -167,7 +167,7 @@ class Judged(CommandMessage):
 
 
 class Change(Judged):
-    """Common to what may be timed."""
+    """Base of the requests that can be timed."""
 
     at_tick: Tick = _absent("servo tick at which it comes into force; left out: the next")
     if_rev: int = _absent("only if the revision is still this one", ge=0, lt=ID_LIMIT)
@@ -180,7 +180,7 @@ else:
 
 
 class Set(Rendered):
-    """Change any of the parameters; each goes on a ramp from where it is."""
+    """Change any of the parameters; each ramps from its present value."""
 
     # A change of an Environment, not another form of one: only the fields that were sent, with
     # ramp, ticks and revision. Its fields come from the table, and `Environment.changed` takes its
@@ -232,7 +232,7 @@ class Set(Rendered):
 
 
 class Damping(Change):
-    """Switch the active damping, set its level and switch it on, or have the guard choose it."""
+    """Switch the active damping, set its level and switch it on, or let the guard select it."""
 
     cmd: Literal["damping"]
     value: Literal["on", "off", "auto"] | float = Field(
@@ -252,19 +252,19 @@ class Damping(Change):
 
 
 class Enable(Judged):
-    """Force on, with a gain ramp."""
+    """Switch force on, with a gain ramp."""
 
     cmd: Literal["enable"]
 
 
 class Disable(CommandMessage):
-    """Force off."""
+    """Switch force off."""
 
     cmd: Literal["disable"]
 
 
 class Stop(CommandMessage):
-    """Latched stop; taken from anyone at any time, whatever else the message holds."""
+    """Latched stop; any client may send it at any time, whatever else the message contains."""
 
     cmd: Literal["stop"]
 
@@ -276,19 +276,19 @@ class Reset(CommandMessage):
 
 
 class Zero(CommandMessage):
-    """Here is x = 0."""
+    """Set the present position as x = 0."""
 
     cmd: Literal["zero"]
 
 
 class Home(CommandMessage):
-    """Find the origin as the device file says."""
+    """Find the origin by the method in the device file."""
 
     cmd: Literal["home"]
 
 
 class Withhold(CommandMessage):
-    """Send the board no frames for a while, to see its watchdog trip; only in `disabled`."""
+    """Send no frames to the board for a while, to trip its watchdog; only in `disabled`."""
 
     cmd: Literal["withhold"]
     seconds: float = Field(
@@ -327,8 +327,9 @@ Ttl = Annotated[float, Field(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
 
 
 class LeaseRequest(CommandMessage):
-    """Be the only one who may change a part of the display, for as long as this connection asks
-    for something at least every `ttl_s`.
+    """Take, renew or release the exclusive right to change a part of the display.
+
+    A lease lasts as long as its connection sends a request at least every `ttl_s`.
     """
 
     cmd: Literal["lease"]
@@ -352,7 +353,9 @@ class LeaseRequest(CommandMessage):
 
 
 class GuardRequest(Judged):
-    """What is done with an environment that is not known to be passive; without fields: ask."""
+    """Set the treatment of environments that are not known to be passive; without
+    fields: query it.
+    """
 
     cmd: Literal["guard"]
     policy: Policy = _absent(
@@ -372,26 +375,26 @@ class GuardRequest(Judged):
 
 
 class Status(CommandMessage):
-    """Everything about servo and gateway."""
+    """Return the state of servo and gateway."""
 
     cmd: Literal["status"]
 
 
 class Dump(CommandMessage):
-    """Write the flight recording now; the reply names the file, an event tells when it is there."""
+    """Write the flight recording; the reply contains the path, and an event reports the end."""
 
     cmd: Literal["dump"]
 
 
 class Mark(CommandMessage):
-    """Note words with the newest tick as an event `mark`, which recordings keep."""
+    """Note a text with the newest tick as an event `mark`, which recordings keep."""
 
     cmd: Literal["mark"]
     text: str = Field(min_length=1, max_length=96, description="what happens at this tick")
 
 
 class Schema(CommandMessage):
-    """This protocol as JSON schema."""
+    """Return this protocol as JSON schema."""
 
     cmd: Literal["schema"]
 

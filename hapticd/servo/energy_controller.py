@@ -42,25 +42,26 @@ from hapticd.servo.monitors import Bounds
 from hapticd.servo.plan import Control, Plan
 from hapticd.servo.safety import State
 
-SHARE: Final = 0.06  # of the fault's bound: there it begins
-STEP: Final = 0.025  # of it: what may leak before the next halving
-SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
+SHARE: Final = 0.06  # of the fault's bound: threshold of the controller
+STEP: Final = 0.025  # of it: leak before the next halving
+SHOWS_TICKS: Final = 3  # from a step to its effect at the board, at a delay of two periods
 
 
 def is_on(params: ServoParams) -> bool:
-    """Whether the configuration asks for it and the ledger has a bound."""
+    """Return whether it is configured and the ledger has a bound."""
     return params.safety.energy_controller and (params.device.physical_damping_ns_per_m is not None)
 
 
 def budget_j(params: ServoParams) -> float:
-    """Excess [J] beyond which it looks; infinite where it is off."""
+    """Return the excess [J] above which the controller acts; infinite if it is off."""
     return SHARE * params.device.energy_limit_j if is_on(params) else inf
 
 
 def lag(params: ServoParams) -> tuple[float, float, float] | None:
-    """How the force lags behind its command on this device, as far as it has to be known: shares of
-    a period's mean force that are the mean of the period before, the force commanded for this
-    period, and that of the period before.
+    """Return the lag of the force behind its command on this device, if it matters.
+
+    The numbers are weights for a period's mean force: of the mean of the period before, the force
+    commanded for this period, and that of the period before.
     """
     corner_hz = params.device.force_smoothing_hz
     if not is_on(params) or not corner_hz > 0.0:
@@ -74,8 +75,9 @@ def lag(params: ServoParams) -> tuple[float, float, float] | None:
 def controlled(
     plan: Plan, excess_j: float, ticks: tuple[int, int], params: ServoParams, bound: Bounds
 ) -> Plan:
-    """`plan` after what `excess_j` [J] says; itself where there is nothing to do. `ticks`: the last
-    one and this one.
+    """Return `plan` after the reaction to `excess_j` [J]; the same object without one.
+
+    `ticks`: the last one and this one.
     """
     last_tick, tick = ticks
     if not excess_j > budget_j(params) or not plan.limit_cycle_faults:
@@ -87,7 +89,7 @@ def controlled(
     if ceiling > (plan.active_damping_asked if plan.active_damping_on else 0.0):
         more = changed(plan, now, (Value.ACTIVE_DAMPING,))
         return more._replace(active_damping_asked=ceiling, active_damping_on=True)
-    # since the last step, beyond what is left of the excess of then
+    # since the last step, above the decayed excess of that time
     left_j = plan.control.excess_j * bound.kept ** (tick - plan.control.tick)
     leaked = (excess_j - left_j) / params.device.energy_limit_j
     untried = plan.control.places == (Value.ACTIVE_DAMPING,)
@@ -98,15 +100,17 @@ def controlled(
 
 
 def shows_ticks(params: ServoParams) -> int:
-    """Ticks until a halving shows in the force of this device."""
+    """Return the ticks until a halving appears in the force of this device."""
     corner_hz = params.device.force_smoothing_hz
     settling = params.realtime.rate_hz / (tau * corner_hz) if corner_hz > 0.0 else 0.0
     return SHOWS_TICKS + ceil(settling)
 
 
 def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
-    """`plan` with half of what leaks, which was in force at `last_tick` (easing may have held it
-    back); at once as far as the force step allows.
+    """Return `plan` with half of the values in force at `last_tick`; at once as far as the force
+    step allows.
+
+    Easing may have held them back.
     """
     in_force = {place: plan.values[place].value(last_tick) for place in STRENGTH_VALUES}
     felt = {place: value for place, value in in_force.items() if value}
@@ -117,7 +121,7 @@ def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
 
 
 def changed(plan: Plan, now: Control, places: tuple[int, ...]) -> Plan:
-    """`plan` with a change of `places` by the servo itself."""
+    """Return `plan` with a change of `places` by the servo itself."""
     held = tuple(sorted({*now.places, *map(int, places)}))
     return plan._replace(
         control=now._replace(places=held),
