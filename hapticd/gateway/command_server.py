@@ -2,12 +2,12 @@
 
 A request is decoded, checked by the interlocks and, if it concerns the servo, posted to the command
 ring. Its reply is written once the servo has answered and the newest record shows the change in
-force, so `state` in a reply is never older than the command. No call waits: `serve` takes the
-requests, and `collect` returns the due replies, with timeouts for commands unanswered for 1 s. STOP
-goes first among requests that arrived together and skips every interlock. It also presses the stop
+force. The `state` in a reply is therefore never older than the command. No call waits: `serve`
+takes the requests, and `collect` returns the due replies, with timeouts for commands unanswered for
+1 s. STOP precedes requests that arrived with it and skips every interlock. It also presses the stop
 word if other commands are ahead of it in the ring.
 
-A change of the environment first goes to the guard (`guard.request_queue`), which asks another
+A change of the environment first passes the guard (`guard.request_queue`), which uses another
 process; all other requests are posted at once. `guard.outstanding` keeps posted commands until they
 are answered.
 

@@ -3,13 +3,13 @@
     python -m hapticd.gateway.relay KEYS SOURCE ENDPOINT --listener FD --line FD
 
 It subscribes at SOURCE, the gateway's socket file, to the topics that its own subscribers want. It
-forwards them to the clients that connect to ENDPOINT and prove a key in the folder KEYS. CURVE is
-implemented by libzmq (RFC 26), which asks this process whether a key is known (ZAP, RFC 27) and
-refuses every client without an answer. The gateway keeps the other end of the line FD. It receives
-the refusals and the number of connections, and this process ends when the gateway closes the line.
+forwards them to the clients that connect to ENDPOINT and prove a key in the folder KEYS. libzmq
+implements CURVE (RFC 26). It queries this process for each key (ZAP, RFC 27), and refuses every
+client without an answer. The gateway keeps the other end of the line FD. It receives the refusals
+and the number of connections, and this process ends when the gateway closes the line.
 
 A separate process is needed because libzmq limits neither the connections nor the memory that a
-remote host can use, and aborts the process when they run out (ADR-0020). The kernel limits both for
+remote host can use. It aborts the process when they run out (ADR-0020). The kernel limits both for
 this process alone: MOST_DESCRIPTORS, MOST_MEMORY. It yields to the gateway by NICENESS, and the
 gateway restarts it when it ends.
 

@@ -8,8 +8,8 @@ first), sends due replies and notes subscriptions. Every 10 ms it publishes the 
 Requests and subscriptions share a budget of PASS_NS; the rest waits for the next pass. The
 heartbeat is written between any two of them. A pass waits for a socket at most 10 ms; while answers
 of the servo are outstanding it polls again after 0.25 ms. A change of a lamp of the page (state,
-fault or the reported damping) is published at once, and for 5 ms after a receipt the loop checks
-for one every millisecond. Sends never block.
+fault or the reported damping) is published at once. For 5 ms after a receipt the loop checks for
+one every millisecond. Sends never block.
 
 No request or publication may take longer than the servo's timeout of the heartbeat (1 s). A folder
 has one gateway: the claim is taken before any socket is bound.
@@ -47,7 +47,7 @@ from hapticd.protocol.view import ServoView
 __all__ = ["run"]
 
 DRAIN_MS = 10
-PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer
+PEEK_NS = 250 * NS_PER_US  # between polls for an outstanding answer
 WATCHFUL_MS = 1  # instead of 10, after a receipt: the board reports one or two ticks later
 WATCHFUL_NS = 5 * NS_PER_MS
 REQUESTS_PER_PASS = 20

@@ -31,7 +31,7 @@ PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
 ENOUGH = 1000  # ticks before the room is judged
 WORK = STAGES[1:]
 RATE_STEP_HZ = 10.0
-CAUSES = max(LateCause) + 1  # places by number; 0 is no cause
+CAUSES = max(LateCause) + 1  # places by number; 0: on time
 
 
 class TickTimes:

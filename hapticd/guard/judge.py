@@ -1,10 +1,10 @@
 """The judge in the guard's worker: it answers the requests of the gateway.
 
 `Judge` takes and returns plain maps (docs/guard.md). It judges a `change` at its end and at up to
-20 points of its path (`transition_planner`), in free space and in contact (`safe_region`), on the
-requested basis (`bases`); the policy selects the answer (`policies`). A `look` returns the verdict
-on the environment in force and the cost of the delay. A `hand` returns the passive hand that
-destabilises an environment.
+20 points of its path (`transition_planner`). It does so in free space and in contact
+(`safe_region`), on the requested basis (`bases`); the policy selects the answer (`policies`). A
+`look` returns the verdict on the environment in force and the cost of the delay. A `hand` returns
+the passive hand that destabilises an environment.
 
 The answer depends on request and setup alone: tests and lock-step runs rely on it.
 """

@@ -1,5 +1,6 @@
-"""The K-B plane of a device: the range of B at which each K is safe in every passive hand, at one
-virtual mass, one pair of filters and one level of active damping.
+"""The K-B plane of a device: the range of B at which each K is safe in every passive hand.
+
+A plane has one virtual mass, one pair of filters and one level of active damping.
 
 The basis of the guard (`bases`) judges a grid of K and B, so a picture of the plane agrees with the
 guard's verdicts. For each K the safe values of B are taken as one interval, the longest run. The

@@ -10,15 +10,15 @@ The first safe path is taken (`transition_planner`, judged by `safe_region`). Wi
     warn     done as requested, in the right order, with a warning
     off      not judged
 
-From outside the set, a path is also accepted if no point is worse than the one before it (radius,
-margin and K, in free space and in contact) and the last point is better.
+From outside the set, a path is also accepted if no point is worse than the one before it and the
+last point is better. The measures are radius, margin and K, in free space and in contact.
 
 Mode `auto` selects the lowest cached level that leaves the required margin. It selects a lower
 level only if that leaves HYSTERESIS more, so that the level does not go up and down with every
 change.
 
-Stages must be judged as they are sent. The result of a clamp or a follow is a plan of its own, and
-is judged again.
+Stages must be judged as they are sent. The result of a clamp or a follow is a new plan, and is
+judged again.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -337,7 +337,7 @@ class GuardedQueue:
     def _waits_for_stages(self, change: PendingChange) -> bool:
         """Return whether `change` is judged after the stages in progress.
 
-        An enable is, with the environment that is in force by then. A scheduled change is if an
+        An enable is, with the environment that is in force by then. So is a scheduled change if an
         enable is in progress, with the force that it brings.
         """
         under_way = self._under_way.change

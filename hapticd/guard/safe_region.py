@@ -4,13 +4,12 @@ K, B and M.
 It also gives the passive range of each parameter alone, and the stiffness that the delay costs.
 
 An environment is safe if the basis (`bases`) judges its K, B, M safe in free space and in its wall,
-at each delay considered. The ranges are found on a grid that gets finer towards the environment's
-own value, then refined between the last two grid points at either end.
+at each delay considered. The grid for a range gets finer towards the environment's own value. Each
+end is then refined between its last two grid points.
 
-Limitations: not covered are a delay that changes from tick to tick, and a hand that makes and
-breaks contact with the wall in step with its motion, because each side is judged separately. A
-range is missed if the device renders nothing of one axis alone, and much of it together with
-another.
+Limitations: a delay that changes from tick to tick; a hand that makes and breaks contact with the
+wall in step with its motion, because each side is judged separately; a device that renders nothing
+of one axis alone, and much of it together with another.
 """
 
 from collections.abc import Callable, Mapping, Sequence

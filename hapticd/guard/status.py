@@ -1,18 +1,18 @@
 """The state of the guard in the gateway: the policy, and the results of the worker.
 
-The gateway asks a worker process (`worker`) whether an environment is passive for every passive
-hand, and continues meanwhile. Questions are numbered: a late answer to a forgotten question is
-dropped. There are three:
+A worker process (`worker`) judges whether an environment is passive for every passive hand, while
+the gateway continues. Questions are numbered: a late answer to a forgotten question is dropped.
+There are three:
 
     change   the judgement of a request, with its stages (`request_queue`)
     look     the margin of the environment in force; for the topic `guard` and `status`
-    hand     the hand that destabilises a request; asked last, reported as an event
+    hand     the hand that destabilises a request; of lowest priority, reported as an event
 
 Policy, basis, margin and mode are those of the configuration until a client changes them; `terms`
 describes their fate at a restart of the gateway. The policy is `off` while a client holds the
 measuring lease.
 
-Silence is not consent: `unknown` is a verdict of its own, and strict policies (`must`) refuse it.
+Silence is not consent: `unknown` is a separate verdict, and strict policies (`must`) refuse it.
 """
 
 from collections import deque

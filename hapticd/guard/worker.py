@@ -1,6 +1,6 @@
 """The connection to the guard's worker: one child process, one socket pair, numbered answers.
 
-The worker has the model and computes; the gateway asks and continues. Each message is a msgpack map
+The worker has the model and computes; the gateway does not wait. Each message is a msgpack map
 preceded by its length (u32, little-endian), at most 64 kB. The first message of the worker is its
 hello. No call blocks: a message fits the socket buffer, or the worker has hung, and input is read
 when the selector reports it. A worker that ends, sends an invalid message or does not read is

@@ -1,8 +1,8 @@
 """Limits on the K, B and M that a client may request of a device: they catch mistaken units.
 
-A limit is ROOM times the end of the range that the device renders passively on that axis alone,
-with the most active damping, if a model gives that range; otherwise the stated number. Both stay
-inside VALUE_LIMITS, which the schema, the mailbox and the servo check separately.
+A limit is ROOM times the end of the passive range of the device on that axis alone, with the most
+active damping. Without a model of that range it is the stated number. Both stay inside
+VALUE_LIMITS, which the schema, the mailbox and the servo check separately.
 
 Limitations: a mistaken unit with a factor below ROOM is not caught.
 """

@@ -1,8 +1,8 @@
-"""The runtime folder: its place and owner, the creation, claim, map and removal of its files, and
-the order in which a reader sees a word and the data that it announces.
+"""The runtime folder: its place, its owner, and the life of its files, from creation to removal.
 
-On x86-64 an aligned 8-byte store from a memoryview is one `mov`, stores are not reordered with
-earlier stores (TSO), and the call into C stops the compiler: a plain assignment is a release store.
+It also defines the order in which a reader sees a word and the data that it announces. On x86-64 an
+aligned 8-byte store from a memoryview is one `mov`. Stores are not reordered with earlier stores
+(TSO), and the call into C stops the compiler: a plain assignment is a release store.
 On aarch64 the same store is single-copy atomic but may overtake the data written before it. There
 the word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
 ACQUIRE)`. A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a

@@ -1,10 +1,10 @@
 """Telemetry: turn the ring of tick records into the messages of each topic.
 
 Topics. A telemetry message always has two frames, [topic, payload], and every payload is one
-msgpack value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, and the first
-frame must be the plain name of the topic, because PlotJuggler subscribes to the text that its user
-types. To keep `servo.raw` from subscribers of `servo`, a subscription to the name of a topic
-selects that topic only. Another prefix (`""`, `s`, `servo.`) selects all topics that start with it.
+msgpack value: a map or an array of maps. ZeroMQ matches subscriptions by prefix. The first frame
+must be the plain name of the topic, because PlotJuggler subscribes to the text that its user types.
+To keep `servo.raw` from subscribers of `servo`, a subscription to the name of a topic selects that
+topic only. Another prefix (`""`, `s`, `servo.`) selects all topics that start with it.
 The relay of `auth` uses libzmq, where `servo` includes `servo.raw` while another client has
 subscribed to that. hapticd's client therefore compares the first frame with the topic; generic
 decoders skip a map of a few numbers and one binary.

@@ -2,14 +2,14 @@
 
 With a wrong sign of force or position, each spring drives the handle instead of holding it, and no
 value of the law shows this. Until a person has verified the direction of a push (`hapticd rig
-motor`), the force is limited to a tenth of the device's (`ServoParams.force_limit_n`), K, B and M
-have a box (`mailbox.layout.COMMISSIONING_LIMITS`), and homing is refused. A push ends with the
+motor`), the force is limited to a tenth of the device's (`ServoParams.force_limit_n`). K, B and M
+are limited too (`mailbox.layout.COMMISSIONING_LIMITS`), and homing is refused. A push ends with the
 fault `commissioning` when
 
     the handle is TRAVEL_M from where force began,
     force has acted for FORCE_S since the servo was enabled, or
     the handle has done more work against the force than its largest so far does in AGAINST_M:
-    the motion goes the wrong way, or a hand works against it.
+    the motion has the wrong direction, or a hand works against it.
 
 The work against the force is counted from its minimum, so earlier work with the force does not
 offset it. A hand that presses a spring or moves through a damper looks just like a wrong sign, and

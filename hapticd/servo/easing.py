@@ -4,12 +4,12 @@ allows.
     |F(x, v, a; parameters of this tick) - F(x, v, a; those of the last)| <= limits.force_step_n
 
 Both are the law at the sample of this tick. The limit therefore applies to the step of an enable or
-of a change of parameters, and not to an impact on a stiff wall. Where that step would be too large,
-all values on their way, the gain included, move by a share of it and continue in the next tick. A
-ramp then ends later than requested, and records show the values that were in force. Whatever
-removes the whole force (disable, stop, fault, the ramp from 0 after a gap) is not held back.
-Without a sample the force is held, and during a stop or fault the force that acted ramps down. In
-both cases the parameters wait.
+of a change of parameters, and not to an impact on a stiff wall. If that step is too large, all
+ramping values, the gain included, move by a share of it and continue in the next tick. A ramp then
+ends later than requested, and records show the values in force. A change that removes the whole
+force (disable, stop, fault, the ramp from 0 after a gap) is not held back. Without a sample the
+force is held, and during a stop or fault the acting force ramps down. In both cases the parameters
+wait.
 
 The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
 is computed again with all values that do not fall unchanged (`servo.ramp_energy`).

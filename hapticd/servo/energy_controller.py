@@ -6,12 +6,12 @@ under an environment that the credited damping makes passive, E stays below a tw
 `limits.energy_j`, the bound of the fault. A leak exceeds any bound: it grows by a fifth in a tick
 where a wall at five times its limit drives a light handle. So beyond SHARE of that bound
 
-    1. the active damping rises to the device's ceiling, with a slew of its own. It acts in the
-       board's analog circuit, without sampling and delay, and the level that the board then reports
-       is credited in E;
+    1. the active damping rises to the device's limit, with a separate slew. It acts in the board's
+       analog circuit, without sampling and delay, and the level that the board then reports is
+       credited in E;
     2. for every further STEP of the bound that leaks after that (twice as much until the active
-       damping had a chance), K, B and M and those of the wall are halved. The force steps by no
-       more than `limits.force_step_n` on the way. The next halving waits until this one shows.
+       damping has taken effect), K, B and M and those of the wall are halved. The force steps by no
+       more than `limits.force_step_n`. The next halving waits for the effect of this one.
 
 The leak is counted from the last step on. E itself decays with a time constant of a second, so the
 rest of the former excess is subtracted. Credit is not stored: E starts at 0 whenever the device
@@ -25,8 +25,8 @@ lagged force, mean of each period:
 
     f_n = e f_{n-1} + (1 - b) F_n + (b - e) F_{n-1},   e = exp(-w T), b = (1 - e) / (w T)
 
-The controller acts while the fault `energy` is on, so never in a measurement, and only on force
-that acts. If the leak goes on, the fault ends it.
+The controller acts while the fault `energy` is on, so never in a measurement, and only while force
+acts. If the leak continues, the fault ends it.
 
 Limitations: an `energy_j` so large that a tenth of it is too much for a hand, or a credit above the
 device's true damping.

@@ -8,13 +8,13 @@ The push p is a spring to a point that moves at the homing speed v, parallel to 
 While the handle follows, p equals the friction; while it stands, p grows to the homing force F. A
 slip (friction falls as the handle begins to move) shortens the spring by the motion of the handle
 and no more. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
-is halved at every tick, so a handle that is suddenly released does not run away. Force is bounded
-by F, and speed by 10 v plus the effect of F on the mass within two ticks, whatever is in the way. A
-few grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not
-the output of a filter that a client may have set.
+is halved at every tick, so a handle that is suddenly released does not run away. With any obstacle,
+force is bounded by F, and speed by 10 v plus the effect of F on the mass within two ticks. A few
+grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not the
+output of a filter that a client may have set.
 
-A handle that stands under the whole push need not be at a stop: a hand holds it, a bearing sticks,
-a motor has no power. So each stop is tested, and found twice:
+A handle at rest under the full push may not be at a stop: a hand may hold it, a bearing may stick,
+the motor may have no power. So each stop is tested, and found twice:
 
     approach  towards the stop, until the handle stands for 0.1 s under F
     press     p falls to F/2 and grows to F again; a stop that moves by more than the tolerance d
@@ -23,7 +23,7 @@ a motor has no power. So each stop is tested, and found twice:
     return    towards the stop again, with at most 3/4 F until 4 d before it
     confirm   pressed again; accepted within d of the first stop, if nothing else acts there
 
-Friction hides a soft hand from `press`: the handle stands in it, held by the bearing. The work of
+Friction hides a soft hand from `press`: the bearing holds the handle in it. The work of
 back-off and return reveals it. Over a way s there and back, friction costs the same both ways,
 jerks or not, and another force on the handle does not. Its mean is
 

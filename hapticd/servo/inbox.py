@@ -5,7 +5,7 @@ streamer sends a waveform into the board's perturbation FIFO.
 
 A tick takes at most two commands. A reset while the board reports a fault first requests that the
 board clear it, and waits for the frame with the result. A pressed stop word stops in every tick
-until it is back at 0, so no reset can clear a press that still stands. Writing it back is file
+until it is back at 0, so no reset can clear a press that is still active. Writing it back is file
 work, which waits until no force can act: the last frame did not request authority. Lost slots
 become a fault when too many fall into one second. Pauses of a host with a simulated board are
 harmless and only counted.

@@ -14,7 +14,7 @@ host's clock) to the sample (by the board's) is constant but for the offset of t
 two ticks before have as well:
 
     BUS          that time is longer, because the OUT reached the board late; or the previous OUT
-                 was still under way a period later; or no IN came within the time-out
+                 was still in transit a period later; or no IN arrived within the time-out
     COMPLETION   that time is as usual: the sample was ready, and the IN ended late
 
 A slow bus delays OUT and IN, so the cause is BUS from a quarter of the lateness on the way out. An
@@ -29,7 +29,7 @@ is therefore not delayed: cold code takes tens of times longer. The cause goes i
 the next tick, because its own record is out by then. A tick on time pays for two integers of its
 record.
 
-Limitations: a board that latches by a clock of its own, records that are not in the ring.
+Limitations: a board that latches by its own clock, records that are not in the ring.
 """
 
 import struct

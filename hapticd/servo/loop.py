@@ -6,8 +6,8 @@ Everything a tick needs is a local name that no closure shares, prepared before 
 possible. Rare work (a lost link, commands, answers, late ticks) is a call. Three properties of
 CPython 3.11 shape the code. The loop is a `while True`, because the instructions of a function that
 is entered once are specialised only after a loop that ends in an unconditional jump (a seventh of a
-tick). A float stands before the integer it is multiplied by, because otherwise the integer's method
-is tried first. No call has more than 30 arguments, which would go by way of a list.
+tick). A float precedes the integer it is multiplied by, because otherwise the integer's method is
+tried first. No call has more than 30 arguments, which would be passed through a list.
 
 A late tick drops whole slots and never catches up. Late events and lost slots are counted apart,
 those of the first second (`grace`) on their own. Ticks are numbered one after the other. `step`
@@ -435,7 +435,7 @@ class ServoLoop:
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
             if seq:  # 0: the loop itself asked
-                # a change that waited through a pause longer than the life has no tick of its own
+                # a change that waited through a pause longer than the life has no own tick
                 first, end = (max(0, slot - self.dropped) for slot in ticks)
                 self.mailbox.answer(seq, result, fault, revision, (first, end), values)
 

@@ -15,7 +15,7 @@ and raises an alarm. The next tick takes the slow path, where the alarm becomes 
 is granted. Trials that go to the edge of stability on purpose switch `force_at_limit` and `energy`
 off; every record shows which of them are on.
 
-The default limit of overspeed is 0.7 of the speed beyond which the encoder is not believed: 3.5 m/s
+The default limit of overspeed is 0.7 of the speed beyond which the encoder is not trusted: 3.5 m/s
 on the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as fast
 as gravity reaches 2.8 m/s; 8 g released 20 mm off under K = 200 N/m reach 3.2 m/s.
 

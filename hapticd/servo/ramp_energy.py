@@ -1,10 +1,10 @@
 """The energy that changes of parameters add, and the budget that makes ramps wait.
 
-A display that is passive at every instant may still be pumped. Stiffening a spring while it is bent
-and softening it while it is not gives energy to the hand, and a fixed rhythm finds that phase by
-itself (parametric resonance). 1 kg under a spring that goes from 40 to 380 N/m and back, each in 50
-ms and every 110 ms, grows by 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of work shows this,
-because the energy that a ramp adds is not lost.
+A display that is passive at every instant may still be pumped. A spring gives energy to the hand if
+it stiffens while deflected and softens while not. A fixed rhythm reaches that phase by itself
+(parametric resonance). Example: a spring on 1 kg ramps from 40 to 380 N/m and back, each in 50 ms
+and every 110 ms. The motion grows by a factor of 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of
+work shows this, because the energy that a ramp adds is not lost.
 
 So each tick books the energy that its change of parameters adds to the energy stored at the present
 position of the handle, element by element:

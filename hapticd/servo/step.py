@@ -2,9 +2,9 @@
 no I/O.
 
 The same call runs live, in lock-step and in a replay. Almost every tick takes the fast path:
-position from the count, `render`, count from the force, ledger. A tick with any other event (a
-command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes through
-`slow_path`, which makes a new state; the fast path follows as usual.
+position from the count, `render`, count from the force, ledger. A tick with a command, a running
+ramp, a lost frame, a status bit or a missing heartbeat first takes `slow_path`, which makes a new
+state; the fast path follows as usual.
 
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
 State is a short tuple (see `plan`). Its first place holds everything slow, so a tick passes that on

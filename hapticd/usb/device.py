@@ -1,10 +1,14 @@
 """A connected board: link, protocol session and buffers in one, for one exchange per tick.
 
-`receive` returns the newest IN frame and its arrival: 0 for the next one on time, k > 0 after k
-lost samples, -k if there is none for the k-th tick in a row (the old one is returned), SEED if the
-filters must start here. The board's latch time decides, not the sequence number. After a host pause
-the waiting sample is one period old and belongs to its own time, and the gap appears in the next
-one.
+`receive` returns the newest IN frame and its arrival:
+
+    0       the next frame, on time
+    k > 0   the first frame after k lost samples
+    -k      no frame for the k-th tick in a row; the old one is returned
+    SEED    the filters must start at this frame
+
+The board's latch time decides, not the sequence number. After a host pause the waiting sample is
+one period old and belongs to its own time, and the gap appears in the next one.
 
 A stale frame (a duplicate, or one left behind by a time-out) is skipped, and so is an old one, at
 most MOST_READS per tick. The pipeline is one frame deep, so the frame of this tick answers the last

@@ -101,7 +101,7 @@ DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # the latter: libusb's
 
 
 def system_backend() -> Any:
-    """Return the libusb of the system, or else the one of libusb-package.
+    """Return the libusb of the system, or the one of libusb-package.
 
     MissingLibrary: neither is installed. ConfigError: it cannot be loaded.
     """

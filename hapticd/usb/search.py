@@ -3,7 +3,7 @@ reason.
 
 A board that was just plugged in may appear before udev has granted access, or be slow to answer its
 first request. It may also still run its boot loader, which stalls that request or sends a hello
-with another hash, then leaves the bus and returns as itself. All of these conditions pass, and so
+with another hash. The board then leaves the bus and returns. All of these conditions pass, and so
 does a claim by another program. Each failed attempt has a reason; a reason is reported when it
 differs from the last one, and "" when the board answers.
 
