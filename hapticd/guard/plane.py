@@ -1,4 +1,4 @@
-"""The K-B plane of a device: the range of B at which each K is safe in every passive hand.
+"""The K-B plane of a device: the range of B at which each K is stable in every passive hand.
 
 A plane has one virtual mass, one pair of filters and one level of active damping.
 

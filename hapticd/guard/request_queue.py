@@ -6,7 +6,7 @@
        +-> timed out, or its servo, client or lease has ended
 
 Under `warn`, where a verdict is information, a change that needs no stages is posted at once if no
-other request waits. It is judged in parallel, and its reply waits for both.
+other request waits. It is judged in parallel, and its reply waits for answer and verdict.
 
 Requests are handled one after the other. Each is judged while no command is outstanding, so that
 the newest record and the last answer belong to the same environment. It is posted with the revision
@@ -124,7 +124,7 @@ class GuardedQueue:
         self._queue.append(change)
 
     def _goes_at_once(self, change: PendingChange) -> bool:
-        """Return whether it is applied in one stage, whatever the verdict."""
+        """Return whether it can be applied at once, in one stage and under any verdict."""
         guard = self._guard
         whole = len(changed_parts(change.request)) == 1
         plain = whole and not change.at_tick and not self._auto(change)
@@ -174,7 +174,7 @@ class GuardedQueue:
     def leave(self, actor: int) -> None:
         """Drop the requests of `actor`, whose connection has ended.
 
-        A change whose receipt was sent keeps its remaining stages.
+        A change in progress continues, unless it enables force.
         """
         for change in self._waits_of(actor):
             self._drop(change)

@@ -140,8 +140,9 @@ class StagedChange:
             posted.taken_back = why
 
     def taken_back(self, change: PendingChange) -> ChangeReply:
-        """Return the reply for `change`, which was taken back before its last stage took effect;
-        force is not enabled.
+        """Return the reply for `change`, one stage of which took effect after it was taken back.
+
+        Force is not enabled.
         """
         self.change = None
         text = f"{change.taken_back}; what is in force stays"

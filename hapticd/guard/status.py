@@ -1,8 +1,8 @@
 """The state of the guard in the gateway: the policy, and the results of the worker.
 
-A worker process (`worker`) judges whether an environment is passive for every passive hand, while
-the gateway continues. Questions are numbered: a late answer to a forgotten question is dropped.
-There are three:
+A worker process (`worker`) judges whether an environment is stable in every passive hand, while the
+gateway continues. Questions are numbered: a late answer to a forgotten question is dropped. There
+are three:
 
     change   the judgement of a request, with its stages (`request_queue`)
     look     the margin of the environment in force; for the topic `guard` and `status`
