@@ -80,7 +80,7 @@ class EnvironmentField(NamedTuple):
     low: float  # range for any device
     high: float
     slot: int  # place among the doubles of a command
-    column: str = ""  # of a telemetry record; empty: no record holds it
+    column: str = ""  # of a telemetry record; empty: in no record
     meaning: str = ""  # in a few words, for schemas
     ramped: bool = True  # whether a change is ramped
     strength: bool = True  # whether a force is proportional to it

@@ -24,7 +24,7 @@ def lazily(
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(homes[name]), name)
-        setattr(sys.modules[package], name, found)  # the next use finds it without a call
+        setattr(sys.modules[package], name, found)  # later uses need no call
         return found
 
     return load, lambda: sorted({*vars(sys.modules[package]), *homes})

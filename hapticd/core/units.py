@@ -19,7 +19,7 @@ US_PER_S = 1_000_000
 NS_PER_US = 1_000
 NS_PER_MS = 1_000_000
 
-# relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
+# relative resistance change of copper per kelvin (the paper prints "percent", and means 0.393 %/K)
 COPPER_PER_K = 0.00393
 PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
 

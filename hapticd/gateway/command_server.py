@@ -179,7 +179,7 @@ class CommandServer:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
-                    # its first answer may have come just before, and is the reply
+                    # its first answer may have arrived just before, and is the reply
                     replies += self._due(now_ns)
                     self._report(scheduled, answer, now_ns)
                 self._guarded.heard(answer)

@@ -44,7 +44,7 @@ from hapticd.protocol.keys import Clients, server_pair
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and those of the process itself
 MOST_MEMORY = 256 << 20  # bytes of data; about 60 MB at rest, with the stacks of threads
 NICENESS = 10
-RELAYED_QUEUED = 100  # messages per listener: 2 s
+RELAYED_QUEUED = 100  # messages per subscriber: 2 s
 LONGEST_RELAYED = 1 << 22  # bytes of a part of a message
 LONGEST_SUBSCRIPTION = 1024
 AT_ONCE = 100  # messages of one socket before the others have their turn

@@ -32,7 +32,7 @@ COMMAND = 4
 SHORT_BYTES = 255  # the longest body whose length is one byte
 LONGEST_HANDSHAKE = 1024  # body of READY: a few properties
 MOST_PARTS = 8  # of a message
-PING_CONTEXT = 16  # bytes of a PING that come back in its PONG
+PING_CONTEXT = 16  # bytes of a PING that are returned in its PONG
 PARTNERS = {b"ROUTER": (b"REQ", b"DEALER", b"ROUTER"), b"XPUB": (b"SUB", b"XSUB")}
 
 Message = tuple[bytes, ...]

@@ -140,7 +140,7 @@ def environment_text(environment: Environment) -> str:
 def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:
     """Describe a hand as its mass, or as its spring to the ground.
 
-    Small tuned masses, which belong to images, are left out.
+    Small tuned masses, which serve the spectral images of sampling, are left out.
     """
     where = f"at {hz:.3g} Hz" + (", in the wall" if in_wall else "")
     mass_kg = float(hand.mass_kg[0])

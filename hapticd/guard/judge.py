@@ -134,10 +134,10 @@ class Judge:
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
 
     def _timed(self, delay: float) -> dict[str, Any] | None:
-        """Return the stiffness that a delay [periods] costs by the theorem.
+        """Return the stiffness lost to a delay [periods] by the theorem; None without a usable
+        model.
 
-        It includes the cost without active damping and with the level of `damping on`; None without
-        a usable model.
+        It is given without active damping and with the level of `damping on`.
         """
         if self.theorem is None or self._unresolved:
             return None

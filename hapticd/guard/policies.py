@@ -104,7 +104,7 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
 
 
 def _in_effect(verdicts: VerdictBuilder, reported: float, asked: float) -> float:
-    """Return the level in effect: the requested one, or during its rise the cached level below the
+    """Return the level in effect: the requested one, or during a change the cached level below the
     reported one.
     """
     if abs(reported - asked) <= verdicts.setup.active_damping_count_ns_per_m:

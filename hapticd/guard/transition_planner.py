@@ -75,7 +75,7 @@ class TransitionPlanner:
     passed: list[Environment]  # in force at first, then the start of each earlier scheduled change
     after: Sequence[Mapping[str, Any]]  # changes that are scheduled later
     enable: bool
-    moving: bool  # the environment is felt, or will be
+    moving: bool  # the environment acts, or will act
     levels: tuple[float, ...]  # cached levels of damping
     count_ns_per_m: float  # of the damping DAC
     change: Mapping[str, Any]  # the requested fields
@@ -287,7 +287,7 @@ def sampled_segment(
 
 
 def _gained(segment: Segment, count: int) -> list[Environment]:
-    """Sample the gain from 0 to 1. Rising damping does not count until it is reached."""
+    """Sample the gain from 0 to 1. A change of damping does not count before it is complete."""
     if count < 3:
         return []
     here = replace(segment.end, active_damping_ns_per_m=segment.start.active_damping_ns_per_m)

@@ -466,7 +466,7 @@ class LateCause(IntEnum):
     NONE = 0  # on time
     WAKE = 1
     SUBMISSION = 2  # of its transfers: the kernel took them late
-    BUS = 3  # the board got an OUT late, or no IN came
+    BUS = 3  # the board got an OUT late, or no IN arrived
     COMPLETION = 4  # the board was in time, but the end of the transfer was late
     TRANSFER = 5  # an unknown part of a transfer
     STEP = 6

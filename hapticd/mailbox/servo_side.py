@@ -118,7 +118,7 @@ class ServoMailbox:
 
     @property
     def inherited(self) -> int:
-        """Number of the last command that a gateway before the present one posted."""
+        """Number of the last command that an earlier gateway posted."""
         return self.load(layout.INHERITED_WORD)
 
     def count(self, name: str, amount: int = 1) -> None:

@@ -108,7 +108,7 @@ class ServoLoop:
         self.stopping = False
         self._lost_slots = 0
         self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
-        self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
+        self.dropped = 0  # slots without a tick, including those of the start and of a reconnect
         self._missed_tick = -1  # the newest tick without a sample
         self._fresh_slot = 0  # of the newest tick with one, before that
         self._pausing = False  # the next tick does not read
@@ -169,7 +169,7 @@ class ServoLoop:
         pausing = self._pausing
         alive_until_ns = 0
         board_us = 0
-        linked = connection.host  # host flags while all is well
+        linked = connection.host  # host flags without a fault
         publish_ns = late_ticks.publish_ns
         last = None if ticks is None else self.tick + ticks
 
@@ -457,7 +457,7 @@ class ServoLoop:
 
         Nothing of this may delay the next tick.
         """
-        by_intent = self.state[SETTLED].out_flags & WITHHELD  # it listens in vain
+        by_intent = self.state[SETTLED].out_flags & WITHHELD  # its read is in vain
         late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)
         cause = 0 if by_intent else self._late_ticks.cause(self.tick - 1, publish_ns)
         now_ns = self.clock.now_ns()

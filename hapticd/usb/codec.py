@@ -46,7 +46,7 @@ I16_LOWEST = -32768
 I16_HIGHEST = 32767
 U16_HIGHEST = 65535
 TORQUE_SEQUENCES = 256  # values of the low byte of a sequence number
-# places in a head: the fields of frames.IN_SEALED, as `in_parser` gives them
+# places in a head: the fields of frames.IN_SEALED, as returned by `in_parser`
 HEAD_SEQ = 0
 HEAD_ECHO = 1
 HEAD_AXIS = 2

@@ -87,7 +87,7 @@ class Device:
     def __init__(self, link: Link, rate_hz: float) -> None:
         self.link = link
         self.period_us = US_PER_S / rate_hz
-        # pyusb hands an array('B') on to libusb without a copy
+        # pyusb passes an array('B') to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
         kinds = (

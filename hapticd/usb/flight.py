@@ -41,11 +41,11 @@ class Transfers(Protocol):
     def submit_in(self) -> None: ...
 
     def out_done(self, wait_ns: int) -> bool:
-        """Return whether the OUT has arrived, after waiting for `wait_ns` at most."""
+        """Return whether the OUT has arrived, after waiting for at most `wait_ns`."""
 
     def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
-        """Return the bytes of the IN, copied to `buffer`; -1: none after waiting for `wait_ns` at
-        most.
+        """Return the bytes of the IN, copied to `buffer`; -1: none after waiting for at most
+        `wait_ns`.
         """
 
     def clear_halt(self, endpoint: int) -> None: ...

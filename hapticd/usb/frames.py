@@ -155,7 +155,7 @@ class OutFrame(NamedTuple):
 
 
 class InFrame(NamedTuple):
-    """Board to host. All numbers are counts but `board_time_us` and those of age."""
+    """Board to host. All numbers are counts, except `board_time_us` and ages."""
 
     seq: int
     echo: int

@@ -202,7 +202,7 @@ class UsbLink(Link):
                 reply = self._device.ctrl_transfer(
                     VENDOR_IN, request.value, value, 0, length, CONTROL_TIMEOUT_MS
                 )
-                # pyusb gives an array
+                # pyusb returns an array
                 return bytes(reply)
             self._device.ctrl_transfer(
                 VENDOR_OUT, request.value, value, 0, None, CONTROL_TIMEOUT_MS
@@ -324,7 +324,7 @@ def _in_turn(device: Any, number: int, out: End, into: End) -> tuple[Transfer, T
 def _serial(device: Any) -> str | None:
     try:
         text: str | None = usb.util.get_string(device, device.iSerialNumber, ENGLISH_US)
-    except ValueError:  # no UTF-16
+    except ValueError:  # not UTF-16
         return None
     except usb.core.USBError as error:
         if error.errno is not None:

@@ -123,7 +123,7 @@ class UsbfsTransfers:
         self._submit(self._in)
 
     def out_done(self, wait_ns: int) -> bool:
-        """Return whether the OUT has arrived, after waiting for `wait_ns` at most."""
+        """Return whether the OUT has arrived, after waiting for at most `wait_ns`."""
         if not self._ended(self._out, wait_ns):
             return False
         _check(self._out.urb.status)
@@ -156,7 +156,7 @@ class UsbfsTransfers:
         transfer.done = False
 
     def _ended(self, transfer: _Transfer, wait_ns: int) -> bool:
-        """Return whether it is complete, after waiting for `wait_ns` at most."""
+        """Return whether it is complete, after waiting for at most `wait_ns`."""
         deadline_ns = 0
         while not transfer.done:
             if _ioctl(self._fd, REAP, self._slot_address) >= 0:
