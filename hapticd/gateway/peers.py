@@ -13,7 +13,7 @@ No call waits, and the cost of every peer is bounded:
 The kernel reports a dead peer: at once on this machine; over TCP when its probes or data are
 unanswered for SILENCE_S. A peer is identified by a number that is never reused.
 
-`receive` must be called in every pass: peers with unparsed input are not read before.
+`receive` must be called in every pass: a peer with unparsed input is not read before that.
 """
 
 import selectors

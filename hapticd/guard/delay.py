@@ -1,10 +1,10 @@
 """Estimate the loop delay of the last minute, for the judgements of the guard.
 
-Each record contains `delay_us`, the time between the sample and the effect of the force that acted
-during the record. This module counts these delays by second, in steps of 1/16 period. The guard
-uses the 99th percentile, rounded up to the next step. A longer delay counts at once; a shorter one
-counts after 10 s, because each new delay costs the worker 0.5 s. The theorem assumes a constant
-delay, and every verdict includes this limitation.
+Each record contains `delay_us`, the delay from a sample to its force, for the force in effect when
+the record's own sample was taken. This module counts these delays by second, in steps of 1/16
+period. The guard uses the 99th percentile, rounded up to the next step. A longer delay counts at
+once; a shorter one counts after 10 s, because each new delay costs the worker 0.5 s. The theorem
+assumes a constant delay, and every verdict includes this limitation.
 
 The delay must be rounded up, and a minute without records must not count the one before.
 """

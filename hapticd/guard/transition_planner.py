@@ -8,7 +8,7 @@
 
 Active damping rises before K and B grow; K and B shrink before it falls. Each `Stage` waits for a
 report of the board, or for the ramps of the stage before, never for a time. Other orders are tried
-next: first complete the changes in progress, first shrink, first grow. A longer ramp passes the
+next: complete the changes in progress first, shrink first, grow first. A longer ramp passes the
 same points, so none is tried.
 
 The order of a scheduled change and of the end of the ramps before it may be unknown. Then all

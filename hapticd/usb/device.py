@@ -27,9 +27,9 @@ unknown. A frame of another life (the board's firmware restarted) seeds too: no 
 life applies.
 
 Almost every frame is the next one, intact. `receive` and `send` handle that case inline and leave
-every other to the codec: `in_parser` examines a frame with any deviation from the start. LinkLost
-is for the loop; smaller failures are counted and handled here. One task must call it, and buffers
-must not be replaced.
+every other to the codec: `in_parser` examines any other frame as a whole. LinkLost is for the loop;
+smaller failures are counted and handled here. One task must call it, and buffers must not be
+replaced.
 """
 
 from array import array

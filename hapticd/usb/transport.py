@@ -14,7 +14,7 @@ The cost for the force is known: it acts (1 - phase) periods after its sample.
 
 With transfers in flight (`usb.flight`) a tick waits for neither. The condition is then
 
-    phase + way of an OUT to the board + way of its IN back + step  <=  period
+    phase + transit of an OUT to the board + transit of its IN + step  <=  period
 
 without a wake-up. That round is measured in the same way as a tick, at one phase after the other,
 from later ones to earlier; the first whose median leaves 50 us is used. A frame that arrives later
