@@ -8,11 +8,11 @@
 Source: the ZeroMQ RFCs 23/ZMTP and 37/ZMTP. Every ZeroMQ library since 4.0 implements it. Commands
 of newer versions are understood too: PING is answered, SUBSCRIBE and CANCEL are subscriptions.
 
-The gateway implements the protocol itself, and only clients use libzmq. libzmq bounds too little of
-a peer's input, and aborts the process by an assertion when a peer dies behind a full queue
-(ADR-0020). Here all input is bounded: a frame is checked by its length before its body is awaited,
-a message by its parts and bytes as they arrive. A violation of a bound or of the protocol is a
-WireError, and its connection ends.
+The gateway implements the protocol itself; only clients and the relay use libzmq. libzmq bounds too
+little of a peer's input, and aborts the process by an assertion when a peer dies behind a full
+queue (ADR-0020). Here all input is bounded: a frame is checked by its length before its body is
+awaited, a message by its parts and bytes as they arrive. A violation of a bound or of the protocol
+is a WireError, and its connection ends.
 
 A caller must not feed more while `take` still finds frames: the buffer would grow. A partner with
 ZMTP 2 or older is refused.

@@ -5,9 +5,9 @@ The push p is a spring to a point that moves at the homing speed v, parallel to 
     dp/dt = K (v - dx/dt),  -F <= p <= F       K = min(100 N/m, F / (0.1 s v))
     force = p - B dx/dt,  -F <= force <= F     B = 0.5 N s/m
 
-While the handle follows, p equals the friction; while it stands, p grows to the homing force F. A
-slip (friction falls as the handle begins to move) shortens the spring by the motion of the handle
-and no more. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
+While the handle follows, p equals the friction; while it is at rest, p grows to the homing force F.
+A slip (friction falls as the handle starts to move) shortens the spring only by the motion of the
+handle. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
 is halved at every tick, so a handle that is suddenly released does not run away. With any obstacle,
 force is bounded by F, and speed by 10 v plus the effect of F on the mass within two ticks. A few
 grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not the
@@ -16,7 +16,7 @@ output of a filter that a client may have set.
 A handle at rest under the full push may not be at a stop: a hand may hold it, a bearing may stick,
 the motor may have no power. So each stop is tested, and found twice:
 
-    approach  towards the stop, until the handle stands for 0.1 s under F
+    approach  towards the stop, until the handle is at rest for 0.1 s under F
     press     p falls to F/2 and grows to F again; a stop that moves by more than the tolerance d
               meanwhile yields (softer than F / 2 d) and is approached further
     back off  away by L, with at most 3/4 F: a handle that cannot is held or stuck
@@ -24,14 +24,14 @@ the motor may have no power. So each stop is tested, and found twice:
     confirm   pressed again; accepted within d of the first stop, if nothing else acts there
 
 Friction hides a soft hand from `press`: the bearing holds the handle in it. The work of
-back-off and return reveals it. Over a way s there and back, friction costs the same both ways,
-jerks or not, and another force on the handle does not. Its mean is
+back-off and return reveals it. Over a distance s and back, friction costs the same both ways, with
+or without jerks, and another force on the handle does not. Its mean is
 
     (work of the return - work of the back-off) / 2 s
 
 between 4 d and 4 d + L/4 from the stop. A stop exerts no force there. A hand exerts the force that
-made the handle stand: more than F/8 is not a stop. A hand too stiff to be measured there does not
-let the handle back off by L.
+stopped the handle: more than F/8 is not a stop. A hand too stiff to be measured there does not let
+the handle back off by L.
 
 With `index` the mark takes the place of the stop: found, left behind by L, and passed again in the
 same direction within d. An obstacle before the mark reverses the search, once.

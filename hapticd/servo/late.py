@@ -2,7 +2,7 @@
 
 A tick is late when it ends after the next deadline. The loop times its parts anyway. The share of a
 part is its time beyond the usual, which is the median of three ticks on time at a tally. The part
-with the greatest share is the cause:
+with the largest share is the cause:
 
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
@@ -10,8 +10,8 @@ with the greatest share is the cause:
 In flight (`usb.flight`) `write` hands both transfers to the kernel and waits for neither, so its
 share is SUBMISSION. `read` waits for a late IN, and the board's clock shows the reason. The board
 latches a sample a fixed time after it got the previous OUT. So the time from that OUT (by the
-host's clock) to the sample (by the board's) is constant but for the offset of the clocks, which the
-two ticks before have as well:
+host's clock) to the sample (by the board's) is constant, up to the offset of the clocks. The two
+ticks before have the same offset:
 
     BUS          that time is longer, because the OUT reached the board late; or the previous OUT
                  was still in transit a period later; or no IN arrived within the time-out
@@ -26,8 +26,8 @@ bus. No sample shows when an IN was fetched.
 
 The cause is computed after the end of the tick and before its lost slots are counted. The next tick
 is therefore not delayed: cold code takes tens of times longer. The cause goes into the record of
-the next tick, because its own record is out by then. A tick on time pays for two integers of its
-record.
+the next tick, because the tick's own record is already published. A tick on time only writes two
+integers of its record.
 
 Limitations: a board that latches by its own clock, records that are not in the ring.
 """

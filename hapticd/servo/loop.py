@@ -11,10 +11,11 @@ tried first. No call has more than 30 arguments, which would be passed through a
 
 A late tick drops whole slots and never catches up. Late events and lost slots are counted apart,
 those of the first second (`grace`) on their own. Ticks are numbered one after the other. `step`
-gets the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20 ms whether or not
-ticks were lost. Requests and answers of clients are in ticks. Without the board the ticks go on:
-records show it, the force is 0, and the board is searched for with back-off. The loop ends when
-`stopping` is set or `ticks` are done; `finish` ramps the force down and releases the board.
+gets the slot, which counts the lost ones too. A ramp of 20 ms therefore ends after 20 ms whether or
+not ticks were lost. Requests and answers of clients are in ticks. Without the board the ticks
+continue: records show it, the force is 0, and the board is searched for with back-off. The loop
+ends when `stopping` is set or `ticks` are done; `finish` ramps the force down and releases the
+board.
 
 No closure may share a name of `run` (it would become a cell, slower at every use). No slow work may
 come before the record is published.

@@ -1,11 +1,11 @@
 """The safety table: the state after a command, and the torque and damping that a state allows.
 
     state      torque              active damping                         leaves by
-    disabled   0                   0 unless asked                         enable, home, stop, fault
-    enabled    law, limited        as asked                               disable, stop, fault
-    homing     homing law, its     as asked                               done, disable, stop,
+    disabled   0                   0 unless requested                     enable, home, stop, fault
+    enabled    law, limited        as requested                           disable, stop, fault
+    homing     homing law, its     as requested                           done, disable, stop,
                own limit                                                  fault
-    stopped    what acted, to 0    max(current, safe) for 2 s,            reset, while no cause
+    stopped    acting force, to 0  max(current, safe) for 2 s,            reset, while no cause
                in 20 ms            then to 0 in 0.5 s                     persists
     fault      as in stopped       as in stopped                          reset, while no cause
                                                                           persists
