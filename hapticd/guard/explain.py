@@ -1,4 +1,4 @@
-"""Explain a verdict: its plain map, the reasons and remedies, and the hand that destabilises it.
+"""Explain a verdict: its plain map, reasons and remedies, and the destabilising hand.
 
 Each sentence must have value, unit and remedy. A `safe` verdict must include the list NOT_COVERED.
 """

@@ -11,7 +11,7 @@ other request waits. It is judged in parallel, and its reply waits for answer an
 Requests are handled one after the other. Each is judged while no command is outstanding, so that
 the newest record and the last answer belong to the same environment. It is posted with the revision
 of that environment, and the servo refuses it if the revision has changed (policies clamp, refuse,
-follow). All other requests pass the queue. A stop, a disable and any other change of state first
+follow). All other requests bypass the queue. A stop, a disable and any other change of state first
 cancels each waiting enable, because an enable must not follow a later request.
 
 A client may have its own requests judged as under `refuse`, under any policy (`strict`).

@@ -2,12 +2,11 @@
 
 It also defines the order in which a reader sees a word and the data that it announces. On x86-64 an
 aligned 8-byte store from a memoryview is one `mov`. Stores are not reordered with earlier stores
-(TSO), and the call into C stops the compiler: a plain assignment is a release store.
-On aarch64 the same store is single-copy atomic but may overtake the data written before it. There
-the word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
-ACQUIRE)`. A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a
-barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
-detected.
+(TSO), and the call into C stops the compiler: a plain assignment is a release store. On aarch64 the
+same store is single-copy atomic but may overtake the data written before it. There the word is
+stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(..., ACQUIRE)`.
+A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a barrier.
+Records contain their number first and last, and commands a CRC, so a mistake here is detected.
 
 Limitations: a runtime folder on a network file system (locks, shared maps). No import at the top
 may be large: `hapticd stop` and every command start with this module.

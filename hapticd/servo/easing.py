@@ -12,7 +12,7 @@ force is held, and during a stop or fault the acting force ramps down. In both c
 wait.
 
 The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
-is computed again with all values that do not fall unchanged (`servo.ramp_energy`).
+is computed again with changes of decreasing values only (`servo.ramp_energy`).
 
 The force is continuous in the share, but neither monotonic nor linear (clamp, walls, gain times
 value), so bisection finds the share. A step lies between half the bound and the bound, and any

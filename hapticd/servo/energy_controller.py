@@ -1,4 +1,4 @@
-"""Ends an energy leak before the fault `energy` has to: first with active damping, then with a
+"""End an energy leak before it causes the fault `energy`: first with active damping, then with a
 weaker environment.
 
 The ledger's excess E (`render.energy`) is energy that the display gave out without cover. In motion
@@ -18,7 +18,7 @@ rest of the former excess is subtracted. Credit is not stored: E starts at 0 whe
 took more than it was given. Minutes without a leak therefore do not delay a step by a tick.
 
 Both are changes by the servo itself: revision and environment revision count them, the actor is 0,
-and they stay until a change names the value again. No virtual damping is added. Behind a lag or a
+and they stay until a change sets the value again. No virtual damping is added. Behind a lag or a
 delay it feeds the motion that it should brake; without them the halving is as effective. Behind a
 first-order lag of the force (`force_smoothing_hz`, where a model contains it) E is booked with the
 lagged force, mean of each period:

@@ -7,9 +7,9 @@ ramp, a lost frame, a status bit or a missing heartbeat first takes `slow_path`,
 state; the fast path follows as usual.
 
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
-State is a short tuple (see `plan`). Its first place holds everything slow, so a tick passes that on
-in one piece. The force limit is the last step before the wire: the law clamps in newtons, this
-module clamps the count once more.
+State is a short tuple (see `plan`). Its first item contains everything that changes rarely, so a
+tick passes it on as one object. The force limit is the last step before the wire: the law clamps in
+newtons, this module clamps the count once more.
 
 The state must have no mutable values. No time or random number may be read here, and no float may
 reach the wire.
