@@ -55,10 +55,8 @@ def launch(*words: str, keep: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
 
 
 def _import_path() -> dict[str, str]:
-    """Return PYTHONPATH for a child; empty for an installed package.
-
-    -P keeps the working folder out of its imports, so the path of an uninstalled checkout must be
-    given.
+    """Return PYTHONPATH for a child; empty for an installed package. -P keeps the working folder
+    out of its imports, so the path of an uninstalled checkout must be given.
     """
     root = Path(__file__).parents[2]
     if root.name in ("site-packages", "dist-packages"):

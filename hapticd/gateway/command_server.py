@@ -157,9 +157,8 @@ class CommandServer:
         return replies
 
     def _overtaken(self) -> list[Reply]:
-        """Refuse resets and scheduled changes that arrived before a stop.
-
-        The stop goes first, so they would undo or outlive it.
+        """Refuse resets and scheduled changes that arrived before a stop. The stop goes first, so
+        they would undo or outlive it.
         """
         last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
         before = self._queue[:last]
@@ -316,9 +315,7 @@ class CommandServer:
 
     def _ask_back(self) -> None:
         """Read the parameters after a restart of the gateway, or after the servo has changed them
-        itself.
-
-        A set for a tick long past is refused, and the refusal contains them.
+        itself. A set for a tick long past is refused, and the refusal contains them.
         """
         view = self._view
         about = view.life, self._guard.in_force.revision

@@ -237,9 +237,8 @@ class LeaseServer:
             self._told_ns = now_ns
 
     def _correct(self) -> None:
-        """Correct holders or faults in the newest record that differ from the leases.
-
-        The servo may have restarted, or have switched the faults on again after force went off.
+        """Correct holders or faults in the newest record that differ from the leases. The servo may
+        have restarted, or have switched the faults on again after force went off.
         """
         record = self._view.record
         holders = self._holders()

@@ -135,9 +135,7 @@ class Judge:
 
     def _timed(self, delay: float) -> dict[str, Any] | None:
         """Return the stiffness lost to a delay [periods] by the theorem; None without a usable
-        model.
-
-        It is given without active damping and with the level of `damping on`.
+        model. It is given without active damping and with the level of `damping on`.
         """
         if self.theorem is None or self._unresolved:
             return None
@@ -177,10 +175,9 @@ class Judge:
     def _shakers(
         theorem: Theorem, delay: float, point: Point, environment: Environment, in_wall: bool
     ) -> list[dict[str, Any]]:
-        """Return hands that destabilise the environment.
-
-        One is placed where the motion grows fastest, one where the most damping is missing: either
-        may be the one that shakes the device hardest.
+        """Return hands that destabilise the environment. One is placed where the motion grows
+        fastest, one where the most damping is missing: either may be the one that shakes the device
+        hardest.
         """
         level = environment.active_damping_ns_per_m
         filters = environment.filters

@@ -58,9 +58,8 @@ def main(arguments: list[str]) -> int:
 
 
 def _be_a_batch() -> None:
-    """Run under SCHED_BATCH, so that a request does not interrupt the gateway.
-
-    Otherwise the worker would take the gateway's core for about 3 ms, in the middle of a pass.
+    """Run under SCHED_BATCH, so that a request does not interrupt the gateway. Otherwise the worker
+    would take the gateway's core for about 3 ms, in the middle of a pass.
     """
     with suppress(OSError):  # without the right to do so, changes act a little later
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -127,9 +127,8 @@ def _with_level(
 def _unjudged(
     verdicts: VerdictBuilder, planner: TransitionPlanner, policy: str, why: Explanation
 ) -> dict[str, Any]:
-    """Return the answer to a change without a judgement.
-
-    Strict policies refuse it; the others apply it in the right order.
+    """Return the answer to a change without a judgement. Strict policies refuse it; the others
+    apply it in the right order.
     """
     wanted = planner.wanted
     given = wanted
@@ -228,9 +227,8 @@ class _Judged:
         return rest if level == present else rest | {"active_damping": level}
 
     def _least(self, environment: Environment) -> float:
-        """Return the lowest sufficient level; a lower level than now needs additional margin.
-
-        If none is sufficient, return the level with the largest margin, at least the present one.
+        """Return the lowest sufficient level; a lower level than now needs additional margin. If
+        none is sufficient, return the level with the largest margin, at least the present one.
         """
         present = self.target.active_damping_ns_per_m
         needed = self.region.least_level(environment, self.levels)
@@ -273,9 +271,8 @@ class _Judged:
 
     def _merit(self, environment: Environment) -> list[float]:
         """Return the values that must not fall on the way to a safer point: K, margin and radius,
-        in free space and in contact.
-
-        A basis without margins gives nan, which never counts as better.
+        in free space and in contact. A basis without margins gives nan, which never counts as
+        better.
         """
         free = self.region.reading(environment)
         contact = self.region.in_contact(environment) or free
@@ -327,9 +324,8 @@ class _Judged:
         return kept
 
     def _lowered(self, asked_ns_per_m: float, end: Environment) -> Environment:
-        """Return `end` with its damping as close to the requested lower level as is safe.
-
-        The level is rounded up to a count. The cached levels are some tenths of N s/m apart.
+        """Return `end` with its damping as close to the requested lower level as is safe. The level
+        is rounded up to a count. The cached levels are some tenths of N s/m apart.
         """
         safe = end.active_damping_ns_per_m
         unsafe = max((one for one in self.levels if one < safe), default=0.0)

@@ -335,10 +335,9 @@ class GuardedQueue:
             self._try_unjudged(self._queue.popleft(), now_ns, self._late())
 
     def _waits_for_stages(self, change: PendingChange) -> bool:
-        """Return whether `change` is judged after the stages in progress.
-
-        An enable is, with the environment that is in force by then. So is a scheduled change if an
-        enable is in progress, with the force that it brings.
+        """Return whether `change` is judged after the stages in progress. An enable is, with the
+        environment that is in force by then. So is a scheduled change if an enable is in progress,
+        with the force that it brings.
         """
         under_way = self._under_way.change
         if under_way is None:
@@ -353,9 +352,7 @@ class GuardedQueue:
 
     def _choose_level(self, now_ns: int) -> None:
         """In mode auto, judge the environment in force again: after a change of the delay, and
-        every CHOICE_NS.
-
-        After an action of the energy controller, wait for the next change.
+        every CHOICE_NS. After an action of the energy controller, wait for the next change.
         """
         guard = self._guard
         about = self._life, guard.in_force.revision, guard.delay_periods

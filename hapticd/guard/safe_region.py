@@ -243,10 +243,9 @@ def _made_sure(
 
 
 def _checks(ends: list[float], own: float) -> Floats:
-    """Return the six values at which an interval is verified.
-
-    They are its middle, each end and a point slightly inside each end, because an end is an
-    estimate, and the value inside it that is nearest to the environment's own.
+    """Return the six values at which an interval is verified. They are its middle, each end and a
+    point slightly inside each end, because an end is an estimate, and the value inside it that is
+    nearest to the environment's own.
     """
     start, end = ends
     inside = start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])

@@ -147,9 +147,8 @@ class TransitionPlanner:
         return corner_mixtures(environments) if len(rendered) > 1 else []
 
     def _overlapping(self, plan: Plan) -> list[Environment]:
-        """Return the corners while several parameters are in progress, each on its own ramp.
-
-        They apply up to the first stage that waits for the ramps.
+        """Return the corners while several parameters are in progress, each on its own ramp. They
+        apply up to the first stage that waits for the ramps.
         """
         pairs = zip(_numbers(self.now), _numbers(self.target), strict=True)
         if not self.moving or sum(start != end for start, end in pairs) < 2:

@@ -202,9 +202,8 @@ class ServoMailbox:
 
 
 def _keep_last(folder: Path) -> None:
-    """Keep the ring of an ended servo as the last one, for the flight recorder.
-
-    An empty ring, of a servo that only waited for its board, replaces none.
+    """Keep the ring of an ended servo as the last one, for the flight recorder. An empty ring, of a
+    servo that only waited for its board, replaces none.
     """
     ring = folder / files.TELEMETRY
     try:

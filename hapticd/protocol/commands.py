@@ -118,10 +118,8 @@ def values_given(given: dict[str, Any]) -> dict[Value, float]:
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Return the values of active damping `on` | `off` | `auto` | level.
-
-    A level switches it on; 0 switches it off and keeps the level for the next `on`; `auto` alone
-    leaves it unchanged.
+    """Return the values of active damping `on` | `off` | `auto` | level. A level switches it on; 0
+    switches it off and keeps the level for the next `on`; `auto` alone leaves it unchanged.
     """
     if asked in (None, "auto"):
         return {}

@@ -154,9 +154,8 @@ def enter(
 def _ramps_into(
     plan: Plan, state: State, now: CommandContext, params: ServoParams
 ) -> tuple[Ramp, Ramp]:
-    """Return the ramps of the force into a state.
-
-    They are those of the law's gain, and of the last sent force [N] for ticks without a sample.
+    """Return the ramps of the force into a state. They are those of the law's gain, and of the last
+    sent force [N] for ticks without a sample.
     """
     rate_hz = params.realtime.rate_hz
     limits = params.safety
@@ -250,9 +249,8 @@ def held_until(plan: Plan, params: ServoParams) -> int:
 
 
 def _pressed(plan: Plan, actor: int, now: CommandContext, params: ServoParams) -> Plan:
-    """Return `plan` after a press of stop by `actor`.
-
-    If another's press still holds, no client may reset it before its time.
+    """Return `plan` after a press of stop by `actor`. If another's press still holds, no client may
+    reset it before its time.
     """
     others = now.tick < held_until(plan, params) and actor != plan.stop_owner
     return plan._replace(stop_tick=now.tick, stop_owner=0 if others else actor)
@@ -410,10 +408,8 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 def _terms(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """Set the terms in force from now on.
-
-    Scheduled changes are cancelled, unless they were judged by these terms or are the end of a
-    bounded change.
+    """Set the terms in force from now on. Scheduled changes are cancelled, unless they were judged
+    by these terms or are the end of a bounded change.
     """
     seq, _, _, _, values = request
     here = (now.tick, now.tick)

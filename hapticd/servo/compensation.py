@@ -77,9 +77,7 @@ def _looked(
 
 def _ampere2(table: ResistanceParams, sample: Sample, held_n: float, params: ServoParams) -> float:
     """Return the square of the motor's current [A^2], as reported by the board or from the force in
-    effect.
-
-    The latter omits the current of active damping, so it errs on the cold side.
+    effect. The latter omits the current of active damping, so it errs on the cold side.
     """
     _, status, _, _, _, _, _, current, _ = sample
     if table.heat_from == "current":

@@ -454,9 +454,7 @@ class ServoLoop:
 
     def _late(self, end_ns: int, publish_ns: int) -> tuple[int, int]:
         """Return the cause of a late tick (LateCause) and its lateness [ns], and drop the slots
-        that have passed.
-
-        Nothing of this may delay the next tick.
+        that have passed. Nothing of this may delay the next tick.
         """
         by_intent = self.state[SETTLED].out_flags & WITHHELD  # its read is in vain
         late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)

@@ -171,10 +171,8 @@ class SlowPath:
         return self._params.device.force.to_count(left, I16_LOWEST, I16_HIGHEST), left
 
     def _authorised(self, plan: Plan, sample: Sample, tick: int, elapsed: int) -> Plan:
-        """Return `plan` after the board's report about the requested torque.
-
-        While torque is withheld nothing is rendered; when it is granted again, the gain starts at
-        0.
+        """Return `plan` after the board's report about the requested torque. While torque is
+        withheld nothing is rendered; when it is granted again, the gain starts at 0.
         """
         if plan.state in LATCHED and not sample[STATUS] & AUTHORITY:
             # force withdrawn by the board does not return with the rest of a fade
@@ -200,10 +198,8 @@ class SlowPath:
         return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE, short_since=since)
 
     def _unheard(self, plan: Plan, tick: int) -> Plan:
-        """Return `plan` while no frame shows whether the board still grants torque.
-
-        An emergency stop may be pressed and released unseen, and the sent force would act at its
-        release.
+        """Return `plan` while no frame shows whether the board still grants torque. An emergency
+        stop may be pressed and released unseen, and the sent force would act at its release.
         """
         if plan.state in LATCHED:
             return powerless(plan)
@@ -281,10 +277,8 @@ class SlowPath:
     def _nothing_but_lost_frames(
         self, state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> bool:
-        """Return whether a lost frame is the only reason for the slow path.
-
-        This is usual while a busy host drops slots. The plan stays as it is, because the slow path
-        would be late too.
+        """Return whether a lost frame is the only reason for the slow path. This is usual while a
+        busy host drops slots. The plan stays as it is, because the slow path would be late too.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         settled = state[SETTLED]

@@ -159,9 +159,8 @@ class Device:
 def _exchange(
     device: Device,
 ) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool], Callable[[], Head]]:
-    """Return closures over the device's buffers.
-
-    The state of the exchange is in their cells, which are as fast as locals.
+    """Return closures over the device's buffers. The state of the exchange is in their cells, which
+    are as fast as locals.
     """
     link = device.link
     read = link.read
@@ -353,9 +352,7 @@ def _exchange(
 
     def rehearse() -> Head:
         """Do the work of `receive` and `send` between their transfers, without effect, to warm the
-        caches.
-
-        Return the head in the buffer.
+        caches. Return the head in the buffer.
         """
         check(in_body, initial)
         fill(scratch, 0, sent, 0, 0, 0, 0)

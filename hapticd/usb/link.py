@@ -298,10 +298,9 @@ def _not_open(*_: Any) -> int:
 
 
 def _in_turn(device: Any, number: int, out: End, into: End) -> tuple[Transfer, Transfer]:
-    """Return `read` and `write` of the claimed interface, one transfer after the other.
-
-    pyusb looks up interface, endpoint and handle under a lock in every transfer, a third of the
-    instructions before the OUT. A pyusb without this private name keeps its slower path.
+    """Return `read` and `write` of the claimed interface, one transfer after the other. pyusb looks
+    up interface, endpoint and handle under a lock in every transfer, a third of the instructions
+    before the OUT. A pyusb without this private name keeps its slower path.
     """
     backend = device.backend
     handle = getattr(getattr(device, "_ctx", None), "handle", None)
