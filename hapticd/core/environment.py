@@ -269,7 +269,6 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the message with `values` by their keys."""
     found: dict[str, Any] = {}
     for key, value in values:
         table, _, leaf = key.rpartition(".")
@@ -279,7 +278,6 @@ def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _path(key: str) -> str:
-    """Return the attribute of a key. ConfigError: unknown key."""
     if key not in _PATHS:
         known = ", ".join(_PATHS)
         raise ConfigError(f"{key}: no field of an environment; there are {known}")

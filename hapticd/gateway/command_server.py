@@ -192,7 +192,6 @@ class CommandServer:
         return [one for one in replies if one is not None]
 
     def _due(self, now_ns: int) -> list[Reply | None]:
-        """Close the commands that are due for a reply."""
         return [self._closed(one, now_ns) for one in self._outstanding.due(self._view.tick, now_ns)]
 
     def leave(self, client: bytes) -> None:
@@ -325,7 +324,6 @@ class CommandServer:
             self._asked_back = self._asked_back if seq is None else about
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
-        """Report the outcome of a scheduled change, at its tick."""
         answered = scheduled.change and self._guarded.answered(
             scheduled.change, answer, now_ns, scheduled=True
         )
@@ -359,7 +357,6 @@ class CommandServer:
         return self._accepted(change.message, body)
 
     def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
-        """End `pending` without an answer."""
         if pending.change is not None:
             return self._tell(ChangeReply(pending.change, error))
         return self._refused(pending.message, error)

@@ -227,7 +227,6 @@ class Port:
         return message
 
     def _answer(self, peer: Peer) -> None:
-        """Send the output of the session, unless its peer does not read."""
         while peer.session.outgoing:
             answer = peer.session.outgoing.pop(0)
             if len(peer.queue) < self._messages:

@@ -292,7 +292,6 @@ class Publisher:
 
     @property
     def _wanted(self) -> frozenset[str]:
-        """Topics with a subscriber."""
         return frozenset().union(*(asked.wanted for asked in self._audience.values()))
 
     def urgent(self, now_ns: int) -> bool:
@@ -359,7 +358,6 @@ class Publisher:
             )
 
     def _judge_room(self) -> None:
-        """Warn once if a tick leaves too little of its period."""
         if self._judged or self.times.count < ENOUGH:
             return
         self._judged = True

@@ -202,7 +202,6 @@ class Relay:
             self._source.send(message, zmq.NOBLOCK)
 
     def _judge(self) -> None:
-        """Answer whether a key is known."""
         asked = self._zap.recv_multipart(zmq.NOBLOCK)
         _version, number, _domain, address, _identity, mechanism, *credentials = asked
         key = z85.encode(credentials[0]) if mechanism == b"CURVE" and credentials else b""
@@ -242,7 +241,6 @@ class Relay:
 
 
 def _some(attend: Callable[[], None]) -> None:
-    """Handle the waiting messages, at most AT_ONCE."""
     for _ in range(AT_ONCE):
         try:
             attend()

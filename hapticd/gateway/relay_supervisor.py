@@ -70,7 +70,6 @@ class RelaySupervisor:
             yield from self._ended(f"the relay ended, exit code {code}")
 
     def _took(self, report: dict[str, Any]) -> Iterator[dict[str, Any]]:
-        """Yield warnings from a report of the running relay."""
         self._trouble = ""
         known = self._seen["unreadable"]
         self._seen = {name: report[name] for name in self._seen}

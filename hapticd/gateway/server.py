@@ -146,7 +146,6 @@ class GatewayServer:
             self._in_time()
 
     def _await(self, wait_ms: int) -> None:
-        """Wait for input or the next deadline, and read the input."""
         sockets = self._sockets
         if sockets.command.busy or sockets.telemetry.busy or self._commands.queued:
             wait_ms = 0

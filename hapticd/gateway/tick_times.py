@@ -58,7 +58,6 @@ class TickTimes:
             self._count()
 
     def _count(self) -> None:
-        """Count the pending records."""
         if not self._pending:
             return
         records = joined(self._pending)

@@ -107,7 +107,6 @@ class Delivered:
         self._unsettle()
 
     def _unsettle(self) -> None:
-        """Mark the smoothed force as unknown."""
         corner_hz = self._servo.device.force_smoothing_hz
         self._settling_s = SETTLED / (2.0 * np.pi * corner_hz) if corner_hz > 0.0 else 0.0
         self._motor_n = 0.0
@@ -175,7 +174,6 @@ class Delivered:
         return _products(at, path, motor_n, places[whole], period_s)
 
     def _path(self, found: Table, period_s: float) -> CommandedForce:
-        """Return the commanded force at the input of the circuit."""
         corner_hz = self._servo.device.force_smoothing_hz
         held_n = found["in_effect_n"]
         if corner_hz <= 0.0:

@@ -75,7 +75,6 @@ def _end(interval: list[float] | None) -> float:
 def _edges(
     region: SafeRegion, environment: Environment, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
-    """Return the lowest and highest safe B (columns,) of each K."""
     damped = replace(environment, active_damping_ns_per_m=level)
 
     def safe(at_k: Floats, at_b: Floats) -> Flags:

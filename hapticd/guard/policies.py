@@ -168,7 +168,6 @@ class _Judged:
         self.plans = planner.plans()
 
     def answer(self) -> dict[str, Any]:
-        """Take the first safe path, or apply the policy."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
             return self._taken(plan, Outcome.SAFE, explain(self.region, self.wanted, True))
@@ -308,7 +307,6 @@ class _Judged:
         return self._refused(why.and_reason(Reason.NOT_CLAMPED, text))
 
     def _spare(self, environment: Environment) -> str:
-        """Describe the margin of a safe environment."""
         return explain(self.region, environment, True).reasons[0].text
 
     def _shortened(self) -> list[Stage]:
@@ -360,7 +358,6 @@ class _Judged:
     # --- follow -----------------------------------------------------------------------------------
 
     def _followed(self, why: Explanation) -> dict[str, Any]:
-        """Move the environment into the smaller set first, then reduce the damping."""
         small = None if "filters" in self.planner.change else self._smaller()
         if small is None:
             text = "no smaller environment would do either"

@@ -145,7 +145,6 @@ class GuardedQueue:
         self._beside = change
 
     def _post(self, change: PendingChange, now_ns: int) -> None:
-        """Post `change` as requested."""
         what = posting(change.request, 0)
         self._outstanding.post(change.message, change.actor, what, now_ns, change)
 
@@ -201,7 +200,6 @@ class GuardedQueue:
         return [*self._queue] if self._asked is None else [self._asked, *self._queue]
 
     def _waits_of(self, actor: int) -> list[PendingChange]:
-        """Return those of the client `actor`."""
         return [one for one in self._waits() if one.actor == actor]
 
     def _drop(self, change: PendingChange) -> None:
@@ -345,7 +343,6 @@ class GuardedQueue:
         return change.enables or (bool(change.at_tick) and under_way.enables)
 
     def _late(self) -> str:
-        """Return why the worker gave no verdict."""
         late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s:"
         late += " the computer is busy; ask again"
         return late if self._guard.worker == "up" else ""
@@ -436,7 +433,6 @@ class GuardedQueue:
             self._start(change, now_ns)
 
     def _start(self, change: PendingChange, now_ns: int) -> None:
-        """Post the first stage of `change`, or let it wait."""
         if change.request.end_tick and len(change.stages) > 1:
             text = (
                 f"{change.cmd}: with an end it needs one stage, and would take {len(change.stages)}"

@@ -282,7 +282,6 @@ def _run(values: Floats, flags: Flags, at: float) -> tuple[int, int] | None:
 def _refined(
     safe: Asked, grids: list[Floats], runs: Mapping[int, tuple[int, int] | None], sure: bool
 ) -> dict[int, list[float]]:
-    """Return both ends of each run, closer to the edge of the safe set."""
     inside = {}
     outside = {}
     for axis, run in runs.items():

@@ -63,5 +63,4 @@ class ScheduledChanges:
         return before, [one.fields for one in booked[len(before) :]]
 
     def _in_order(self) -> list[ScheduledChange]:
-        """Return the changes in the order of the servo: by tick, then by command."""
         return sorted(self._changes.values(), key=lambda one: (one.tick, abs(one.seq)))

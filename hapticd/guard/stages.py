@@ -178,7 +178,6 @@ class StagedChange:
         return True
 
     def _met(self, change: PendingChange) -> bool:
-        """Return whether the condition of the next stage is met in the newest record."""
         stage = change.stages[change.place]
         record = self._view.record
         moving = int(record["flags"]) & IN_MOTION

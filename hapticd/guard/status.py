@@ -218,7 +218,6 @@ class Guard:
         return f"no verdict on what is in force yet: {why}"
 
     def _delays(self, model_periods: float | None) -> dict[str, Any]:
-        """Return the known delays in periods, and which of them is used."""
         counted = self.delay_periods
         return {
             "counted_periods": model_periods if counted is None else counted,
@@ -366,7 +365,6 @@ class Guard:
             self._looked_at = self._about()
 
     def _about(self) -> LookKey:
-        """Return the subject of a look at this time."""
         return LookKey(
             self._view.life, self.in_force.revision, self.delay.periods, self.terms_changes
         )

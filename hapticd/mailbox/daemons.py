@@ -96,7 +96,6 @@ def _bases() -> list[Path]:
 
 
 def _instances(base: Path) -> list[str]:
-    """Return the names of the instances below `base`, if it is trusted."""
     try:
         require_trusted(base)
         entries = sorted(os.listdir(base)) if os.path.isdir(base) else []

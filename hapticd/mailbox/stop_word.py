@@ -170,7 +170,6 @@ def _pressed(path: Path, number: int) -> tuple[bool, bool]:
 
 
 def _is_there(path: Path, descriptor: int) -> bool:
-    """Return whether the open file `descriptor` has the name `path`."""
     try:
         return os.path.samestat(os.lstat(path), os.fstat(descriptor))
     except OSError:

@@ -271,7 +271,6 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
 
 
 def _barred(result: Result, view: ServoView) -> str:
-    """Return why the board may not make force, from the servo's report."""
     report = view.mailbox.report() if view.mailbox else {}
     if result is Result.REFUSED_DEVICE:
         differences = "; ".join(report.get("differences", ()))

@@ -228,7 +228,6 @@ class FlightRecorder:
         }
 
     def _write_if_silent(self) -> None:
-        """Write the records of a servo that fell silent under force."""
         if self._state in UNDER_FORCE:
             self._state = State.DISABLED
             self.dump("servo_silent")

@@ -128,7 +128,6 @@ def _periods(usable: Records, rate_hz: float) -> NDArray[np.float64]:
 
 
 def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: float) -> None:
-    """Set the values in effect at each sample, as reported by the board."""
     usable = records[rows]
     effect = _bytes(usable["in_frame"])[:, _EFFECT_PLACE:][:, : IN_EFFECT.size]
     age_us = effect[:, 0] + 256.0 * effect[:, 1]
@@ -145,7 +144,6 @@ def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: f
 
 
 def _bytes(frames: NDArray[np.void]) -> NDArray[np.uint8]:
-    """Return raw frames (n,) as bytes (n, size)."""
     return np.ascontiguousarray(frames).view(np.uint8).reshape(len(frames), -1)
 
 

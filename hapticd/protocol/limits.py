@@ -69,7 +69,6 @@ class CommandLimits:
             self._narrow(bounds)
 
     def _narrow(self, bounds: EnvironmentLimits) -> None:
-        """Narrow K, B and M to the ranges of the device."""
         for name, low, high in zip(AXES, bounds.lowest, bounds.highest, strict=True):
             known = self.of[name]
             source = known.source if known.low >= low and known.high <= high else BOUNDED

@@ -80,7 +80,6 @@ def configured(params: ServoParams) -> tuple[float, ...]:
 
 
 def _latest(one: int, other: int) -> int:
-    """Return the later of two revisions."""
     return one if newer(one, other) else other
 
 

@@ -89,7 +89,6 @@ def answer(
 
 
 def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
-    """Return the target of `plan`, by layout.Value."""
     effective = [0.0] * COMMAND_VALUES
     for place, value in target(plan, params).row().items():
         effective[place] = value
@@ -399,7 +398,6 @@ def _stays(one: Scheduled, plan: Plan) -> bool:
 
 
 def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """Return `plan` without the scheduled changes `gone`, and their receipts."""
     after = plan._replace(scheduled=tuple(one for one in plan.scheduled if one not in gone))
     ends = [(one.seq, (one.tick, one.tick)) for one in gone]
     return after, [answer(after, seq, Result.CANCELLED, at, params) for seq, at in ends]
@@ -464,7 +462,6 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
 
 
 def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
-    """Return the change that restores the values of `before` when `one` ends."""
     effective = list(_effective(before, params))
     until = one.values[Value.UNTIL_TICK]
     for end in before.scheduled:  # do not restore values that end by then

@@ -54,7 +54,6 @@ def _looked(
     tick: int,
     params: ServoParams,
 ) -> Winding:
-    """Return `winding` after a reading."""
     _, _, temperature, arrival, host, _, _, _, _ = sample
     device = params.device
     elapsed_s = (tick - winding.tick) / params.realtime.rate_hz

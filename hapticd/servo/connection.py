@@ -135,7 +135,6 @@ class BoardConnection:
         self._device.close()
 
     def _note_look(self) -> None:
-        """Note whether the board has been checked since it started."""
         self._inbox.unlooked = self.check.lives != self._device.counts["lives"]
         self._inbox.waiting |= self._inbox.unlooked
 

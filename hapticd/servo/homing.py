@@ -194,7 +194,6 @@ class HomingSearch:
         return found._replace(tick=seen.tick, encoder=seen.encoder, force_n=force_n)
 
     def _noted(self, homing: Homing, seen: HomingSample) -> Homing:
-        """Return `homing` with standstill and reach updated from the sample."""
         if abs(seen.encoder - homing.still_count) > self._tolerance_counts:
             homing = homing._replace(still_tick=seen.tick, still_count=seen.encoder)
         if self._along(homing, seen.encoder - homing.reach_count) > 0.0:
@@ -211,7 +210,6 @@ class HomingSearch:
         return -self._home.direction if against else self._home.direction
 
     def _along(self, homing: Homing, counts: int) -> float:
-        """Return `counts` as metres along the direction of the phase."""
         return self._way(homing) * self._m_per_count * counts
 
     def _weighed(self, homing: Homing, seen: HomingSample) -> Homing:
@@ -297,7 +295,6 @@ class HomingSearch:
         return not n_per_a or n_per_a * abs(seen.current_a) >= 0.5 * self._force_n
 
     def _found(self, homing: Homing, seen: HomingSample, count: int, again: bool) -> Next:
-        """Act on the stop or mark at `count`."""
         if not again:
             away = homing._replace(found_count=count)
             return _entered(away, Phase.BACK_OFF, seen.tick, seen.encoder, -homing.push_n)

@@ -117,7 +117,6 @@ def _held_up_ns(ticks: Sequence[Ticked]) -> int | None:
 
 
 def _parts(tick: Ticked, publish_ns: int) -> tuple[int, ...]:
-    """Return the duration of each of layout.STAGES."""
     return tick.wake_ns, tick.read_ns, tick.step_ns, tick.write_ns, publish_ns
 
 

@@ -406,7 +406,6 @@ class ServoLoop:
         return self.tick + self.dropped
 
     def _now(self) -> tuple[ServoState, int, int]:
-        """Return state, tick and slot of the next tick, for its rehearsal."""
         return self.state, self.tick, self.slot
 
     def restart_clock(self) -> None:

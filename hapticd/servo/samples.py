@@ -134,5 +134,4 @@ class Samples:
 
 
 def _line(start: float, end: float, lost: int) -> tuple[float, ...]:
-    """Return `lost` positions [m] on the straight line between `start` and `end`."""
     return tuple(start + (end - start) * index / (lost + 1) for index in range(1, lost + 1))

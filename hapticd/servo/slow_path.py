@@ -192,7 +192,6 @@ class SlowPath:
         return plan._replace(unauthorised=0, gain=gain)
 
     def _withheld(self, plan: Plan, tick: int) -> Plan:
-        """Return `plan` from the tick on in which its force is withheld."""
         whole = plan.gain.end == 1.0 and not plan.gain.running(tick)
         since = tick if whole or plan.short_since < 0 else plan.short_since
         return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE, short_since=since)
@@ -235,7 +234,6 @@ class SlowPath:
         return with_origin(done, found.encoder - self._home_counts), []
 
     def _alarming(self, plan: Plan, alarm: int) -> int:
-        """Return the alarm of a monitor, if it is on and force acts."""
         watched = plan.limit_cycle_faults or alarm == OVERSPEED
         return alarm if watched and plan.state in GRANTED else 0
 

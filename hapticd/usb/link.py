@@ -360,7 +360,6 @@ def _frame_endpoints(configuration: Any) -> tuple[int, End, End]:
 
 
 def _ends(interface: Any, direction: int) -> list[End]:
-    """Return the endpoints of that direction that may carry frames."""
     found = []
     for endpoint in interface:
         kind = usb.util.endpoint_type(endpoint.bmAttributes)

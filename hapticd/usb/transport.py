@@ -149,7 +149,6 @@ def _round_us(device: Device, clock: Clock) -> float:
 
 
 def _greeting_us(device: Device, clock: Clock) -> float:
-    """Return the shortest time of a control transfer."""
     times = []
     for _ in range(GREETINGS):
         start_ns = clock.now_ns()

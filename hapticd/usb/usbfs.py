@@ -156,7 +156,6 @@ class UsbfsTransfers:
         transfer.done = False
 
     def _ended(self, transfer: _Transfer, wait_ns: int) -> bool:
-        """Return whether it is complete, after waiting for at most `wait_ns`."""
         deadline_ns = 0
         while not transfer.done:
             if _ioctl(self._fd, REAP, self._slot_address) >= 0:
@@ -174,21 +173,18 @@ class UsbfsTransfers:
         return True
 
     def _ask(self, request: int, number: int) -> None:
-        """Send a request of usbfs about an interface or an endpoint."""
         held = ctypes.c_uint(number)
         if _ioctl(self._fd, request, ctypes.addressof(held)) < 0:
             raise _error(ctypes.get_errno())
 
 
 def _check(status: int) -> None:
-    """Raise USBError if a transfer ended with a `status` other than 0."""
     if status:
         number = errno.ENODEV if -status in GONE else -status
         raise _error(number if number in KEPT else errno.EIO)
 
 
 def _error(number: int) -> Exception:
-    """Return the error as pyusb raises it."""
     known = errno.ENODEV if number in GONE else number
     error: Exception = usb.core.USBError(os.strerror(known), None, known)
     return error
