@@ -51,9 +51,8 @@ class FilterParams:
 
 @dataclass(frozen=True, slots=True)
 class WallParams:
-    """Unilateral wall: pushes back towards the free side only.
-
-    `side` +1: solid for x > position; -1: x < position; 0: none.
+    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x > position;
+    -1: x < position; 0: none.
     """
 
     stiffness_n_per_m: float = 0.0

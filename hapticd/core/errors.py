@@ -81,9 +81,8 @@ class WireError(HapticdError):
 
 
 class FrameError(WireError):
-    """One frame has a wrong length, CRC or value; it is dropped and counted.
-
-    `field` is its field in vectors.jsonl; "" if a value cannot be encoded.
+    """One frame has a wrong length, CRC or value; it is dropped and counted. `field` is its field
+    in vectors.jsonl; "" if a value cannot be encoded.
     """
 
     def __init__(self, message: str, field: str = "") -> None:
@@ -119,7 +118,6 @@ class LinkAccess(LinkError):
 
 class MailboxError(HapticdError):
     """A shared file is missing, foreign, of another layout, or contains a value out of range.
-
     `found` describes the problem, `remedy` the solution if known.
     """
 
@@ -144,10 +142,8 @@ class AnalysisError(HapticdError):
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command.
-
-    `guard` is the guard's verdict on it, if there is one: a `GuardVerdict` for a client, in the
-    gateway the map that is sent.
+    """The daemon refused a command. `guard` is the guard's verdict on it, if there is one: a
+    `GuardVerdict` for a client, in the gateway the map that is sent.
     """
 
     def __init__(self, code: str, message: str, detail: object = None, guard: Any = None) -> None:
@@ -159,10 +155,8 @@ class CommandError(HapticdError):
 
 
 class SequenceError(CommandError):
-    """A sequence of changes ended before its last step.
-
-    `receipts` are those of all steps, `state` is the final state of the servo, "unknown" without an
-    answer.
+    """A sequence of changes ended before its last step. `receipts` are those of all steps, `state`
+    is the final state of the servo, "unknown" without an answer.
     """
 
     def __init__(self, code: str, message: str, receipts: tuple[Any, ...], state: str) -> None:

@@ -172,9 +172,7 @@ class HomeParams(TableParams):
 @dataclass(frozen=True, slots=True)
 class ResistanceParams:
     """The compensation of the winding's resistance by the board, and the data of the winding
-    (render.winding).
-
-    The circuit assumes base_ohm + trim.
+    (render.winding). The circuit assumes base_ohm + trim.
     """
 
     trim: ScaleParams  # ohm above base_ohm per count of the DAC
@@ -254,7 +252,6 @@ class DeviceParams:
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Return the lowest and highest count, inside `low`..`high`, of an allowed temperature.
-
         With sign -1 the count falls as the winding gets hot.
         """
         limit = self.temperature.to_count(self.temperature_limit_c, low, high)
@@ -354,9 +351,8 @@ class ServoParams:
 
     @property
     def force_limit_n(self) -> float:
-        """The largest commanded force [N], by configuration and device.
-
-        It is a tenth of the device's until its signs are verified.
+        """The largest commanded force [N], by configuration and device. It is a tenth of the
+        device's until its signs are verified.
         """
         share = COMMISSIONING_SHARE if self.device.commissioning else 1.0
         device_n = share * self.device.force_limit_n
@@ -365,10 +361,8 @@ class ServoParams:
 
     @property
     def soft_ends(self) -> WorkspaceParams:
-        """The soft ends of the workspace.
-
-        They have no springs until the signs of the device are verified, because their side is
-        unknown.
+        """The soft ends of the workspace. They have no springs until the signs of the device are
+        verified, because their side is unknown.
         """
         ends = self.environment.workspace
         return replace(ends, stiffness_n_per_m=0.0) if self.device.commissioning else ends
@@ -756,9 +750,8 @@ class ModelParams:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredLevel:
-    """Axis limits that a bench found at one active damping: each of K, B, M alone, the others 0.
-
-    A limit is the end of its interval that is nearer to 0; 0 if it was not measured.
+    """Axis limits that a bench found at one active damping: each of K, B, M alone, the others 0. A
+    limit is the end of its interval that is nearer to 0; 0 if it was not measured.
     """
 
     active_damping_ns_per_m: float  # active damping

@@ -38,9 +38,8 @@ def die_with_parent(parent_pid: int | None) -> None:
 
 
 def launch(*words: str, keep: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
-    """Start `python -m words` in a new interpreter, which inherits the descriptors `keep`.
-
-    Its output goes to this process's stderr; it is isolated if this process is.
+    """Start `python -m words` in a new interpreter, which inherits the descriptors `keep`. Its
+    output goes to this process's stderr; it is isolated if this process is.
     """
     import subprocess  # a servo starts no process
 

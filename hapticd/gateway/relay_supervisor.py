@@ -55,9 +55,8 @@ class RelaySupervisor:
         return self._process
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
-        """Start the relay if due; yield warnings for the journal.
-
-        They cover refused clients, unreadable keys and the end of the relay.
+        """Start the relay if due; yield warnings for the journal. They cover refused clients,
+        unreadable keys and the end of the relay.
         """
         self._relay.tend(now_ns)
         for report in self._relay.answers():
@@ -86,10 +85,8 @@ class RelaySupervisor:
             yield {"text": f"no telemetry for other computers: {why}"}
 
     def summary(self) -> dict[str, Any]:
-        """Return the part of `status` about the relay.
-
-        It has the state of the relay, its trouble, its process, connections, refusals so far and
-        unreadable key files.
+        """Return the part of `status` about the relay. It has the state of the relay, its trouble,
+        its process, connections, refusals so far and unreadable key files.
         """
         pid = self._process.pid if self._process else None
         state = {"relay": self._relay.state, "trouble": self._trouble, "pid": pid}

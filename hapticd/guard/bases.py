@@ -167,9 +167,8 @@ class Predicted:
         return self._enough(self._predict(points, at, stability=False), at)
 
     def reading(self, point: Point, at: Conditions) -> Reading:
-        """Return the safety of a point.
-
-        The radius includes the linearised friction, except where Re Z decided.
+        """Return the safety of a point. The radius includes the linearised friction, except where
+        Re Z decided.
         """
         found = self._predict(np.array([point]), at)
         radius = float(found.spectral_radius[0])
@@ -237,9 +236,8 @@ Basis = Theorem | Predicted | Measured
 
 
 def line_ends(points: Floats) -> list[int] | None:
-    """Return the indices of the two of `points` (N, 3) between which all others lie.
-
-    None if the points are not on one line, or if there are at most two.
+    """Return the indices of the two of `points` (N, 3) between which all others lie. None if the
+    points are not on one line, or if there are at most two.
     """
     if len(points) < 3:
         return None

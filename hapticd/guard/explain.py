@@ -80,7 +80,6 @@ class VerdictBuilder:
 
 def explain(region: SafeRegion, environment: Environment, safe: bool, way: str = "") -> Explanation:
     """Explain the safety of an environment, with values, units and, if it is unsafe, remedies.
-
     `way` is a prefix of the description of the environment.
     """
     where = f"{way}{environment_text(environment)}"
@@ -138,9 +137,8 @@ def environment_text(environment: Environment) -> str:
 
 
 def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:
-    """Describe a hand as its mass, or as its spring to the ground.
-
-    Small tuned masses, which serve the spectral images of sampling, are left out.
+    """Describe a hand as its mass, or as its spring to the ground. Small tuned masses, which serve
+    the spectral images of sampling, are left out.
     """
     where = f"at {hz:.3g} Hz" + (", in the wall" if in_wall else "")
     mass_kg = float(hand.mass_kg[0])

@@ -36,7 +36,6 @@ def question(
     view: ServoView,
 ) -> dict[str, Any]:
     """Return the question about `change`, with the changes scheduled `before` and `after` it.
-
     `auto`: the guard selects the level of active damping.
     """
     in_force = guard.in_force

@@ -34,9 +34,8 @@ def unknown_refused(change: PendingChange) -> CommandError:
 def verdict_beside(
     change: PendingChange, answer: dict[str, Any] | None, guard: Guard, late: str
 ) -> dict[str, Any]:
-    """Return the verdict on a change that was posted at once.
-
-    `answer` None: the worker was `late`.
+    """Return the verdict on a change that was posted at once. `answer` None: the worker
+    was `late`.
     """
     verdict = answer.get("verdict") if answer else None
     if answer is None or not isinstance(verdict, dict):

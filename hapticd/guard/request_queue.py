@@ -171,9 +171,8 @@ class GuardedQueue:
         self._under_way.take_back(lambda change: change.enables, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
-        """Drop the requests of `actor`, whose connection has ended.
-
-        A change in progress continues, unless it enables force.
+        """Drop the requests of `actor`, whose connection has ended. A change in progress continues,
+        unless it enables force.
         """
         for change in self._waits_of(actor):
             self._drop(change)

@@ -53,9 +53,8 @@ class ScheduledChanges:
         ]
 
     def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Return the changes due up to `at_tick`, and those after it.
-
-        Changes due at the present `tick` or earlier are forgotten.
+        """Return the changes due up to `at_tick`, and those after it. Changes due at the present
+        `tick` or earlier are forgotten.
         """
         self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
         booked = self._in_order()

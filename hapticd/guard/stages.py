@@ -141,7 +141,6 @@ class StagedChange:
 
     def taken_back(self, change: PendingChange) -> ChangeReply:
         """Return the reply for `change`, one stage of which took effect after it was taken back.
-
         Force is not enabled.
         """
         self.change = None

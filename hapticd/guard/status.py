@@ -141,9 +141,8 @@ class Guard:
 
     @property
     def terms_number(self) -> int:
-        """Number of the terms in force; ANY_TERMS if no policy must be enforced.
-
-        The number belongs to this gateway: another one counts from its own start.
+        """Number of the terms in force; ANY_TERMS if no policy must be enforced. The number belongs
+        to this gateway: another one counts from its own start.
         """
         if not (self.must and self._terms_base):
             return ANY_TERMS
@@ -236,9 +235,8 @@ class Guard:
         }
 
     def unknown(self, why: str, policy: str = "") -> dict[str, Any]:
-        """Return the verdict without a judgement, because of `why`.
-
-        It is under `policy`, by default the one in force.
+        """Return the verdict without a judgement, because of `why`. It is under `policy`, by
+        default the one in force.
         """
         return {
             "safe": None,

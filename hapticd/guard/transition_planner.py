@@ -112,7 +112,6 @@ class TransitionPlanner:
 
     def path(self, plan: Plan) -> list[Environment]:
         """Return at most POINTS points of the path of `plan` and of the changes scheduled after it.
-
         Each segment contributes its end. Return [] if more points would be needed.
         """
         segments = [*plan.segments, *self._later(plan.end)]
@@ -323,10 +322,8 @@ def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -
 
 
 def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
-    """Return the environment in the fields of a message; omitted fields are 0.
-
-    Its filters have the discretisation of `rendered`. AnalysisError for a number that is not
-    finite.
+    """Return the environment in the fields of a message; omitted fields are 0. Its filters have the
+    discretisation of `rendered`. AnalysisError for a number that is not finite.
     """
     velocity, acceleration = rendered.filters
     nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)

@@ -27,9 +27,8 @@ class Header(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The servo's answer to command `seq` (layout.Result).
-
-    `effective` are values after quantisation, by layout.Value.
+    """The servo's answer to command `seq` (layout.Result). `effective` are values after
+    quantisation, by layout.Value.
     """
 
     seq: int
@@ -180,9 +179,8 @@ class GatewayMailbox:
         }
 
     def report(self) -> dict[str, Any]:
-        """Return the servo's report: granted rights, board, device; not to be modified.
-
-        It is parsed once, and empty while it is being replaced.
+        """Return the servo's report: granted rights, board, device; not to be modified. It is
+        parsed once, and empty while it is being replaced.
         """
         return self._report.content()
 
@@ -234,9 +232,7 @@ class GatewayMailbox:
 
     def records(self, tail: int, most: int) -> tuple[bytes, int, int]:
         """Return up to `most` whole records after number `tail`: (bytes, new tail, records lost
-        before them).
-
-        Never waits.
+        before them). Never waits.
         """
         head = self.load_head(layout.TELEMETRY_HEAD_WORD)
         first = max(tail, head - layout.RING_RECORDS + SAFE_DISTANCE)

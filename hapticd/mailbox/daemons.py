@@ -219,9 +219,8 @@ def living_report(folder: Path) -> dict[str, Any]:
 
 
 def console_place(folder: Path) -> dict[str, Any] | None:
-    """Return the address of the operators' page of the daemon in `folder`: {url, port, pid}.
-
-    None without a living one.
+    """Return the address of the operators' page of the daemon in `folder`: {url, port, pid}. None
+    without a living one.
     """
     found = read_json(folder / files.CONSOLE)
     pid = found.get("pid")

@@ -32,9 +32,7 @@ UNKNOWN: Mapping[str, Sequence[float] | None] = {}
 
 def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> EnvironmentLimits:
     """Return the limits of a device whose passive range on each axis is `passive` [SI], from and
-    to.
-
-    The range of an axis that is missing or None is unknown.
+    to. The range of an axis that is missing or None is unknown.
     """
     ends = [_ends(axis, passive.get(axis) or (0.0, 0.0)) for axis in AXES]
     return EnvironmentLimits(tuple(low for low, _ in ends), tuple(high for _, high in ends))

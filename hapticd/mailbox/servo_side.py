@@ -88,9 +88,8 @@ class ServoMailbox:
         files.write_whole(self.folder / files.REPORT, json.dumps(content))
 
     def take(self) -> tuple[Any, ...] | None:
-        """Return the next command as (seq, kind, actor, apply_tick, values).
-
-        None if there is none, or if it is damaged or unknown (counted).
+        """Return the next command as (seq, kind, actor, apply_tick, values). None if there is none,
+        or if it is damaged or unknown (counted).
         """
         tail = self.taken
         waiting = self.load(layout.COMMAND_HEAD_WORD) - self.taken

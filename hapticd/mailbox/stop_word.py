@@ -83,10 +83,8 @@ class StopWord:
         return number if whole and _is_client(number) else ACTOR_STOP_WORD
 
     def take_back(self) -> bool:
-        """Replace the word by a new zero file; return False if it cannot be created.
-
-        A later press is a new one. Do not call it while force acts: freeing a large old file takes
-        time.
+        """Replace the word by a new zero file; return False if it cannot be created. A later press
+        is a new one. Do not call it while force acts: freeing a large old file takes time.
         """
         try:
             fresh = self._made()

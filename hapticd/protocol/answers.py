@@ -404,9 +404,8 @@ class Event(Receipt):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status(InForce):
-    """The state of servo and gateway.
-
-    Values of a record are 0, or -1 for a tick and a delay, while no servo is alive.
+    """The state of servo and gateway. Values of a record are 0, or -1 for a tick and a delay, while
+    no servo is alive.
     """
 
     state: str = ""  #: disabled, enabled, homing, stopped, fault, starting, down

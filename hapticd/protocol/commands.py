@@ -92,10 +92,8 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def change_posting(given: dict[str, Any], at_tick: int, judged: dict[Value, float]) -> Posting:
-    """Return the posting for a change with the fields `given`, nested as in `set`.
-
-    `judged` contains the revision and terms of the judgement. Active damping alone has its own
-    command.
+    """Return the posting for a change with the fields `given`, nested as in `set`. `judged`
+    contains the revision and terms of the judgement. Active damping alone has its own command.
     """
     kind = Command.DAMPING if given.keys() == {"active_damping"} else Command.SET
     return kind, at_tick, values_of(judged | values_given(given))
@@ -354,9 +352,8 @@ def _check_state(request: Request, situation: Situation) -> None:
 
 
 def forbidden(request: Request | None, actor: int, leases: Leases) -> CommandError | None:
-    """Return why `actor` may not make the change; None if it may.
-
-    Another client holds the lease, or this client has lost its own.
+    """Return why `actor` may not make the change; None if it may. Another client holds the lease,
+    or this client has lost its own.
     """
     for what in changed_parts(request):
         if found := leases.may(actor, what):

@@ -91,9 +91,7 @@ def with_header(magic: bytes, header: Mapping[str, Any]) -> bytes:
 
 def read_header(data: bytes | memoryview, magic: bytes) -> tuple[dict[str, Any], int]:
     """Return the header of a file of raw records that starts with `magic`, and the offset [bytes]
-    of the first record.
-
-    struct.error or ValueError: the file is damaged.
+    of the first record. struct.error or ValueError: the file is damaged.
     """
     (length,) = _LENGTH.unpack_from(data, len(magic))
     begin = len(magic) + _LENGTH.size
@@ -353,9 +351,8 @@ class FlightRecorder:
 
 
 def flights_folder(instance: str) -> Path:
-    """Return the folder for flight recordings of `instance`.
-
-    It is in $STATE_DIRECTORY (systemd), $XDG_STATE_HOME/hapticd, or ~/.local/state/hapticd.
+    """Return the folder for flight recordings of `instance`. It is in $STATE_DIRECTORY (systemd),
+    $XDG_STATE_HOME/hapticd, or ~/.local/state/hapticd.
     """
     service = os.environ.get("STATE_DIRECTORY")
     state = (

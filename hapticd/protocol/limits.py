@@ -89,7 +89,6 @@ class CommandLimits:
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:
         """Return {loc, msg, value, unit, low, high} for each number in `given` beyond its limit.
-
         `given` is nested as the request. ConfigError for a name without a limit.
         """
         numbers = [(name, value) for name, value in flat(given) if isinstance(value, (int, float))]
@@ -116,9 +115,8 @@ class CommandLimits:
         )
 
     def numbers(self, name: str, value: float) -> dict[str, Any]:
-        """Return the numbers for programs: {value, unit, low, high} of `value` in field `name`.
-
-        A non-finite value becomes None, which any encoding can express.
+        """Return the numbers for programs: {value, unit, low, high} of `value` in field `name`. A
+        non-finite value becomes None, which any encoding can express.
         """
         limit = self.of[name]
         return {

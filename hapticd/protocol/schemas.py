@@ -104,9 +104,8 @@ class CommandMessage(MessagePart):
     id: Id = Field(None, description="comes back in the reply")
 
     def change(self, level_ns_per_m: float) -> dict[str, Any]:
-        """Return the changes of the environment, nested as in `set`.
-
-        Active damping is a number; `on` means `level_ns_per_m`.
+        """Return the changes of the environment, nested as in `set`. Active damping is a number;
+        `on` means `level_ns_per_m`.
         """
         return {}
 
@@ -327,9 +326,8 @@ Ttl = Annotated[float, Field(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
 
 
 class LeaseRequest(CommandMessage):
-    """Take, renew or release the exclusive right to change a part of the display.
-
-    A lease lasts as long as its connection sends a request at least every `ttl_s`.
+    """Take, renew or release the exclusive right to change a part of the display. A lease lasts as
+    long as its connection sends a request at least every `ttl_s`.
     """
 
     cmd: Literal["lease"]
@@ -481,9 +479,8 @@ _REASONS = {  # replace pydantic's messages, by type of error
 
 
 def invalid(detail: list[dict[str, Any]]) -> CommandError:
-    """Return the error for a request that breaks the schema or a limit.
-
-    detail is [{loc, msg}], for a number beyond its limit [{loc, msg, value, unit, low, high}].
+    """Return the error for a request that breaks the schema or a limit. detail is [{loc, msg}], for
+    a number beyond its limit [{loc, msg, value, unit, low, high}].
     """
     detail = detail[:MOST_DETAILS]
     return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)

@@ -243,9 +243,8 @@ class Origin:
 def servo_messages(
     block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int
 ) -> list[bytes]:
-    """Return payloads of topic `servo`, with at most `batch` ticks each.
-
-    `energies` are the ledger's sums (n, causes) of the block.
+    """Return payloads of topic `servo`, with at most `batch` ticks each. `energies` are the
+    ledger's sums (n, causes) of the block.
     """
     records = block.records
     columns: list[Any] = [

@@ -88,9 +88,8 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
 def check_again(
     device: Device, params: ServoParams, clock: Clock, before: BoardCheck
 ) -> BoardCheck:
-    """Check the board of `before` again, after it has restarted or was not checked yet.
-
-    Its bus is measured if that failed before.
+    """Check the board of `before` again, after it has restarted or was not checked yet. Its bus is
+    measured if that failed before.
     """
     lives = device.counts["lives"]
     try:

@@ -56,9 +56,8 @@ class Causes:
         return 0
 
     def under_force(self, sample: Sample) -> int:
-        """Return a fault as `present`, or one that matters only under force.
-
-        It prevents an enable and a reset.
+        """Return a fault as `present`, or one that matters only under force. It prevents an enable
+        and a reset.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         if found := self.present(status, temperature, host):
@@ -69,9 +68,7 @@ class Causes:
 
     def against_force(self, sample: Sample) -> int:
         """Return a fault as `under_force`, or a condition that may pass within a few ticks under
-        force (contacts bounce).
-
-        It prevents an enable and a reset too.
+        force (contacts bounce). It prevents an enable and a reset too.
         """
         _, status, _, _, host, _, _, _, _ = sample
         if found := self.under_force(sample):
@@ -80,9 +77,8 @@ class Causes:
         return 0 if ready and not status & StatusBit.EMERGENCY_STOP else NO_AUTHORITY
 
     def newly_lost(self, plan: Plan, sample: Sample, tick: int) -> int:
-        """Return the number of a fault that this sample causes, 0 for none.
-
-        Losses that matter only under force count only under force.
+        """Return the number of a fault that this sample causes, 0 for none. Losses that matter only
+        under force count only under force.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         if plan.state not in GRANTED:

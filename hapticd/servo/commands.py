@@ -113,10 +113,8 @@ def target(plan: Plan, params: ServoParams) -> Environment:
 
 
 def force_acts(plan: Plan, tick: int) -> bool:
-    """Return whether force acts by the authority of `plan`'s state.
-
-    Authority that was granted in this tick, also after a disable or reset in it, has not reached
-    the board.
+    """Return whether force acts by the authority of `plan`'s state. Authority that was granted in
+    this tick, also after a disable or reset in it, has not reached the board.
     """
     return plan.state in GRANTED and plan.since_tick < tick
 
@@ -425,9 +423,8 @@ def _terms(
 
 
 def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
-    """Return why the change in `values` may not take effect.
-
-    It was judged for another environment than that of `plan`, or by other terms.
+    """Return why the change in `values` may not take effect. It was judged for another environment
+    than that of `plan`, or by other terms.
     """
     named = masked_places(values)
     if Value.TERMS in named and values[Value.TERMS] not in (plan.terms, ANY_TERMS):
@@ -439,10 +436,8 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """Apply the settings of `one` at its tick.
-
-    The end of a bounded change that was judged by other terms is cancelled if it would raise a
-    strength.
+    """Apply the settings of `one` at its tick. The end of a bounded change that was judged by other
+    terms is cancelled if it would raise a strength.
     """
     if _ends(one) and one.terms != plan.terms and not _stays(one, plan):
         return plan, [answer(plan, one.seq, Result.CANCELLED, (one.tick, one.tick), params)]
@@ -478,10 +473,8 @@ def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:
-    """Return whether no force passes the filters at `tick`.
-
-    No force acts, or B, M and the wall's damping are 0 and do not ramp. Homing brakes through the
-    velocity filter.
+    """Return whether no force passes the filters at `tick`. No force acts, or B, M and the wall's
+    damping are 0 and do not ramp. Homing brakes through the velocity filter.
     """
     if plan.state is State.HOMING:
         return False

@@ -28,9 +28,8 @@ from hapticd.usb.search import BoardSearch, Tell
 
 
 class BoardConnection:
-    """The board of `device`: `linked` while it is there, and the result of its last `check`.
-
-    `tell` is called with the reason why it is not back, and with "" once it is.
+    """The board of `device`: `linked` while it is there, and the result of its last `check`. `tell`
+    is called with the reason why it is not back, and with "" once it is.
     """
 
     def __init__(
@@ -62,9 +61,7 @@ class BoardConnection:
 
     def sensor_lines(self) -> tuple[tuple[float, float], ...]:
         """Return slope and intercept of value = count * slope + intercept, for temperature,
-        current, voltage and back-EMF velocity.
-
-        NaN where the board does not measure.
+        current, voltage and back-EMF velocity. NaN where the board does not measure.
         """
         device = self._params.device
         scales = (device.temperature, device.current, device.voltage, device.emf_velocity)
@@ -80,9 +77,8 @@ class BoardConnection:
         self._search.begin(now_ns)
 
     def look_for(self, now_ns: int) -> bool:
-        """Search for the board when due; return whether it answers again.
-
-        Its filters restart with the next frame, and the state stays latched.
+        """Search for the board when due; return whether it answers again. Its filters restart with
+        the next frame, and the state stays latched.
         """
         hello = self._search.look(now_ns)
         if hello is None:
@@ -103,9 +99,8 @@ class BoardConnection:
             self.check = self.check.barred(STARTED_ANEW)
 
     def look_again(self, out_flags: int, period_ns: int) -> bool:
-        """Check the board again unless force acts, because each request may take 100 ms.
-
-        Return whether it took longer than a tick; `out_flags` are those of the last one.
+        """Check the board again unless force acts, because each request may take 100 ms. Return
+        whether it took longer than a tick; `out_flags` are those of the last one.
         """
         began_ns = self._clock.now_ns()
         if out_flags & (ENABLE | WITHHELD) or not self.linked or began_ns < self._look_ns:
@@ -119,9 +114,8 @@ class BoardConnection:
         return now_ns - began_ns > period_ns
 
     def let_go(self, settled: TickConstants) -> None:
-        """Send a frame without torque that keeps the damping, and release the board.
-
-        Its watchdog holds the damping and releases it, as after a crash.
+        """Send a frame without torque that keeps the damping, and release the board. Its watchdog
+        holds the damping and releases it, as after a crash.
         """
         zero = self._params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
         try:

@@ -121,9 +121,8 @@ def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) ->
 def budgeted(
     plan: Plan, before: Plan, step: Step, here: StepContext, params: ServoParams
 ) -> RateLimited:
-    """Return `step` with its energy booked.
-
-    If that would exceed the budget, only decreasing values of `plan` move.
+    """Return `step` with its energy booked. If that would exceed the budget, only decreasing values
+    of `plan` move.
     """
     rate_hz = params.realtime.rate_hz
     budget_j = params.device.ramp_energy_j
@@ -144,9 +143,7 @@ def budgeted(
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:
     """Return `plan` with every parameter at `tick` only `share` of the way from its value in
-    `before` at `last_tick`, and on its ramp from there.
-
-    A fading gain is not changed.
+    `before` at `last_tick`, and on its ramp from there. A fading gain is not changed.
     """
 
     def part(old: Ramp, new: Ramp) -> Ramp:

@@ -75,9 +75,8 @@ def lag(params: ServoParams) -> tuple[float, float, float] | None:
 def controlled(
     plan: Plan, excess_j: float, ticks: tuple[int, int], params: ServoParams, bound: Bounds
 ) -> Plan:
-    """Return `plan` after the reaction to `excess_j` [J]; the same object without one.
-
-    `ticks`: the last one and this one.
+    """Return `plan` after the reaction to `excess_j` [J]; the same object without one. `ticks`: the
+    last one and this one.
     """
     last_tick, tick = ticks
     if not excess_j > budget_j(params) or not plan.limit_cycle_faults:
@@ -108,9 +107,7 @@ def shows_ticks(params: ServoParams) -> int:
 
 def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
     """Return `plan` with half of the values in force at `last_tick`; at once as far as the force
-    step allows.
-
-    Easing may have held them back.
+    step allows. Easing may have held them back.
     """
     in_force = {place: plan.values[place].value(last_tick) for place in STRENGTH_VALUES}
     felt = {place: value for place, value in in_force.items() if value}

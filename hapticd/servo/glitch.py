@@ -43,9 +43,8 @@ class GlitchVerdict(Enum):
 
 
 def believed_bend_m(params: ServoParams) -> float:
-    """Return the second difference of position [m] that is accepted at once.
-
-    It is that of the device's limit, and at least some counts of the encoder at high rates.
+    """Return the second difference of position [m] that is accepted at once. It is that of the
+    device's limit, and at least some counts of the encoder at high rates.
     """
     device = params.device
     of_motion_m = device.acceleration_limit_m_per_s2 / params.realtime.rate_hz**2

@@ -64,9 +64,8 @@ class Streamer:
         self.playing = 0  # number of the command that started it, 0: silent
 
     def follow(self, wave: tuple[int, int, bool], flags: int, level: int) -> Burst:
-        """Return the samples for a FIFO at `level`.
-
-        `flags` gain FIFO_CLEAR in the tick in which a waveform starts or ends.
+        """Return the samples for a FIFO at `level`. `flags` gain FIFO_CLEAR in the tick in which a
+        waveform starts or ends.
         """
         number, samples, loop = wave
         begins = number != self.playing
@@ -110,10 +109,8 @@ _NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
 class Inbox:
-    """Collect requests.
-
-    Call it when the ring or the stop word is not empty, while it is `waiting`, or while a waveform
-    plays.
+    """Collect requests. Call it when the ring or the stop word is not empty, while it is `waiting`,
+    or while a waveform plays.
     """
 
     def __init__(

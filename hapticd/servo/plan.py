@@ -381,9 +381,7 @@ AUTHORITY = int(StatusBit.ENABLED)
 
 def watch(flags: int) -> tuple[int, int]:
     """Return the status bits that count in the answer to an OUT frame with `flags`, and their
-    values without a fault.
-
-    They include authority if it was requested.
+    values without a fault. They include authority if it was requested.
     """
     if flags & OutFlag.ENABLE:
         return ATTENTION | AUTHORITY, AUTHORITY
@@ -400,9 +398,8 @@ def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
 
 
 def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> Plan:
-    """Return `plan` with its active damping advanced by `elapsed` periods.
-
-    It is slew-limited, except for the release from a latched state, which is on time.
+    """Return `plan` with its active damping advanced by `elapsed` periods. It is slew-limited,
+    except for the release from a latched state, which is on time.
     """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
@@ -430,9 +427,8 @@ def tick_constants(
     flags: int,
     host: int,
 ) -> TickConstants:
-    """Return the constants of the ticks from `tick` on.
-
-    `plan` renders `environment`, with `flags` in its OUT frames.
+    """Return the constants of the ticks from `tick` on. `plan` renders `environment`, with `flags`
+    in its OUT frames.
     """
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}

@@ -48,9 +48,7 @@ MOVES = frozenset({Value.WALL_POSITION, Value.WALL_SIDE})
 
 def spring_energy(stiffness: float, deflection: float, limit: float, power: int = 1) -> float:
     """Return the energy [J] of a spring [N/m^power] at `deflection` [m] whose force is clamped to
-    `limit` [N].
-
-    It is negative for a negative spring.
+    `limit` [N]. It is negative for a negative spring.
     """
     size = abs(stiffness)
     bent = abs(deflection)
@@ -63,7 +61,6 @@ def spring_energy(stiffness: float, deflection: float, limit: float, power: int 
 
 def stored(environment: LawInputs, x: float, v: float) -> tuple[float, ...]:
     """Return the energies [J] that the elements of `environment` store at `x` [m] and `v` [m/s].
-
     Order: spring, WALL, ends, mass, further springs.
     """
     stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = environment
@@ -127,9 +124,7 @@ def falls(place: int, start: float, there: float, wall_gains: bool) -> bool:
 
 def paused(plan: Plan, before: Plan, last_tick: int, tick: int, wall_gains: bool) -> Plan:
     """Return `plan` with all values that do not fall kept as in `before` at `last_tick`, with the
-    rest of their ramps.
-
-    `wall_gains`: the wall would store more, so it does not move either.
+    rest of their ramps. `wall_gains`: the wall would store more, so it does not move either.
     """
 
     def part(place: int, old: Ramp, new: Ramp) -> Ramp:

@@ -24,9 +24,8 @@ def rehearsal(
     mailbox: ServoMailbox,
     now: Callable[[], tuple[ServoState, int, int]],
 ) -> Callable[[], None]:
-    """Return the function that the loop calls while it waits.
-
-    `now` returns state, tick and slot of the next tick.
+    """Return the function that the loop calls while it waits. `now` returns state, tick and slot of
+    the next tick.
     """
     words = mailbox.words
     stop_word = mailbox.stop_word.descriptor

@@ -66,9 +66,8 @@ assert len(TABLE) == len(State) * len(_COLUMNS)
 
 
 def transition(state: State, kind: int) -> State | Result:
-    """Return the next state after command `kind`, or why it is refused.
-
-    Kinds without a column never change the state.
+    """Return the next state after command `kind`, or why it is refused. Kinds without a column
+    never change the state.
     """
     found = TABLE.get((state, kind))
     return state if found is None else found

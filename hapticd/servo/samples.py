@@ -40,9 +40,7 @@ class Samples:
 
     def unwrapped(self, state: ServoState, encoder: int) -> ServoState:
         """Return `state` with its origin corrected if the encoder's counter wrapped during lost or
-        doubted samples.
-
-        The tick itself detects a wrap after a regular sample.
+        doubted samples. The tick itself detects a wrap after a regular sample.
         """
         settled, law, ledger, held, signs = state
         plan = settled.plan
@@ -113,10 +111,8 @@ class Samples:
         settled: TickConstants,
         effect: int,
     ) -> tuple[LawState, Ledger]:
-        """Feed the filters the `positions` [m] of samples without a tick.
-
-        The last force was held meanwhile, and the board reported `effect` [counts] of active
-        damping.
+        """Feed the filters the `positions` [m] of samples without a tick. The last force was held
+        meanwhile, and the board reported `effect` [counts] of active damping.
         """
         level = self._params.device.active_damping.to_value(effect)
         resistance = self._own.resistance + level * self._rate_hz

@@ -346,10 +346,8 @@ def out_flags(plan: Plan, tick: int) -> int:
 
 
 def refiltered(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
-    """Return the law's state for new filters.
-
-    It is steady at the velocity that the old filters would give next, without acceleration.
-    Transients of the old filters are dropped.
+    """Return the law's state for new filters. It is steady at the velocity that the old filters
+    would give next, without acceleration. Transients of the old filters are dropped.
     """
     x, d, vz1, _, _, _ = law
     (b0, *_), _ = split(old)

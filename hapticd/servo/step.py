@@ -63,9 +63,8 @@ _ENABLE = int(OutFlag.ENABLE)
 
 
 def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
-    """Return the state disabled, at rest at count 0.
-
-    The first sample of a link seeds the filters at the position of the device.
+    """Return the state disabled, at rest at count 0. The first sample of a link seeds the filters
+    at the position of the device.
     """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
@@ -162,10 +161,8 @@ def make_step(params: ServoParams) -> Step:
     def surprised(
         state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
-        """Handle a sample that bends the motion.
-
-        It is doubted, unless the sample before it was a glitch too small to be doubted. Then the
-        tick is repeated from before that one.
+        """Handle a sample that bends the motion. It is doubted, unless the sample before it was a
+        glitch too small to be doubted. Then the tick is repeated from before that one.
         """
         settled, law, _, held, signs = state
         _, _, (before, booked) = held

@@ -22,9 +22,8 @@ REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
 
 
 def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
-    """Return `wait(deadline_ns, rehearse)` -> monotonic ns at or after the deadline.
-
-    The spin takes at most 0.4 periods: the core needs idle time.
+    """Return `wait(deadline_ns, rehearse)` -> monotonic ns at or after the deadline. The spin takes
+    at most 0.4 periods: the core needs idle time.
     """
     margin_ns = min(spin_ns, int(0.4 * period_ns))
     clock = time.monotonic_ns

@@ -23,10 +23,8 @@ NO_EVENT = (NO_TIME_US, NO_CODE)
 
 
 class PinEvents:
-    """The events of one board.
-
-    `seen` is the number of the newest one, `lost` the number of missed ones; a board that is not
-    `able` has none.
+    """The events of one board. `seen` is the number of the newest one, `lost` the number of missed
+    ones; a board that is not `able` has none.
     """
 
     __slots__ = ("able", "lost", "seen")

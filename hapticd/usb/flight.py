@@ -106,9 +106,8 @@ class InFlight:
         return len(buffer)
 
     def drain(self, timeout_ms: int) -> None:
-        """Wait for the OUT in progress, up to the time-out; never raises.
-
-        The next `read` or `write` reports its failure.
+        """Wait for the OUT in progress, up to the time-out; never raises. The next `read` or
+        `write` reports its failure.
         """
         if self._out_pending:
             try:

@@ -76,9 +76,8 @@ def unwrap(previous: int, wrapped: int, bits: int) -> int:
 
 
 def lost_between(previous: int, seq: int) -> int:
-    """Return the number of frames lost between the newest one, `previous`, and `seq`.
-
-    It is 0 if `seq` is late or a duplicate.
+    """Return the number of frames lost between the newest one, `previous`, and `seq`. It is 0 if
+    `seq` is late or a duplicate.
     """
     step = (seq - previous) & SEQ_MASK
     return step - 1 if 0 < step <= SEQ_MASK - BACKWARD else 0
