@@ -31,7 +31,7 @@ FIXED = np.concatenate(
 _RATIO = 1.17  # of neighbouring distances from a pole
 _CLOSEST = 0.1  # of a half-width
 _NARROWEST = 1e-8  # rad, half-width; less cannot be resolved
-_FARTHEST = 7.0  # fixed steps: there the ladder is no denser than they are
+_FARTHEST = 7.0  # fixed steps: beyond it the ladder is not denser
 
 
 def held_poles(model: Model, active_damping_ns_per_m: float) -> Complexes:

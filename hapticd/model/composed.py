@@ -408,7 +408,7 @@ def _substep(terms: RowTerms, substep_s: float) -> list[str]:
 
 
 def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) -> list[str]:
-    """The motor force held inside what current and voltage reach (`drive`), before friction."""
+    """Write the limit of the motor force by current and voltage (`drive`), before friction."""
     force = limits.motor_force
     can = reach(limits, substep_s)
     return [

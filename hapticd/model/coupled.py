@@ -15,8 +15,8 @@ loop can be computed.
 
 Stability (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
-diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, the plant of the law. With the
-terms of `theorem` the pulse transfer of device and hand together is
+diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, the loop's pulse transfer. With
+the terms of `theorem` that of device and hand together is
 
     G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,
     g = e + sum h q / (2 r),   R = sum |h q| / (2 r)

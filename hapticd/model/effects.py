@@ -145,7 +145,7 @@ class Effect:
         )
 
 
-# --- what moves, and what is attached to it -------------------------------------------------------
+# --- bodies and attachments -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -625,7 +625,7 @@ class InductanceError(Effect):
         plan.inductance_error_h = self.error_h
 
 
-# --- what is measured -----------------------------------------------------------------------------
+# --- measurement ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,7 +35,7 @@ _WIDTHS = np.array([-10.0, -3.0, -1.0, -0.3, 0.3, 1.0, 3.0, 10.0])  # undamped, 
 _NARROWEST = 1e-4  # of its frequency: a half-width that is less counts as that
 _ROUNDS = 2
 _DIPS = 3
-_WORTH = 5e-4  # of the least Re Z: a dip by less is not followed
+_WORTH = 5e-4  # of the minimum Re Z: a smaller dip is not followed
 _WORTH_NS_PER_M = 1e-5
 
 

@@ -140,7 +140,8 @@ def step_source(params: BoardParams) -> str:
 
 
 def make_step(params: BoardParams) -> Step:
-    """`step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps) -> state`, inputs held.
+    """Return `step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps) -> state`, inputs
+    held.
 
     force_n is the motor force, torque_n the perturbation torque as endpoint force, both towards
     positive x; n_substeps is a whole number of T / 16. ConfigError if the numbers do not describe a
@@ -164,7 +165,7 @@ class Plant(NamedTuple):
     motor_force: View  # N
     estimate: View  # m/s, back-EMF velocity
     celsius: Callable[[State], float] | None  # temperature of a winding that heats up
-    # sets the ohm that the circuit compensates beyond those of count 0; None: it cannot
+    # sets the compensated resistance [ohm] beyond that of count 0; None: no compensation
     compensate: Callable[[float], None] | None = None
 
 

@@ -122,7 +122,7 @@ def align(own_n: npt.ArrayLike, mark_at: int, force: npt.ArrayLike) -> Track:
     return _tracked(own, other, found, (mark, clock), steps)
 
 
-# --- where the record is --------------------------------------------------------------------------
+# --- position of the record -----------------------------------------------------------------------
 
 
 def _mark_of(own: Floats, mark_at: int, other: Floats) -> Mark:
@@ -185,7 +185,7 @@ def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | Non
     return lowest + best if coefficient[best] >= LEAST else None
 
 
-# --- how its clock runs ---------------------------------------------------------------------------
+# --- clock ----------------------------------------------------------------------------------------
 
 
 def _clock(lags: Floats, known: Integers) -> tuple[Clock, Integers]:
@@ -249,7 +249,7 @@ def _line(middle: Floats, lag: Floats) -> Clock:
     return Clock(float(fit[0] - fit[1] * centre), 1e6 * float(fit[1]), 1e6 * scale / spread, rms)
 
 
-# --- what it lost ---------------------------------------------------------------------------------
+# --- gaps -----------------------------------------------------------------------------------------
 
 
 def _tracked(

@@ -140,7 +140,7 @@ def _pointer(context: Any, builder: Any, signature: Any, given: Any, kind: Vecto
 
 
 def _spread(context: Any, builder: Any, value: Any, kind: Any, wanted: Vector) -> Any:
-    """Return `value` itself if it is a vector, else a vector with that number in all lanes."""
+    """Return `value` itself if it is a vector, otherwise a vector with that number in all lanes."""
     if isinstance(kind, Vector):
         return value
     number = context.cast(builder, value, kind, wanted.element)

@@ -154,7 +154,7 @@ class BatchSections:
         u = self._velocity()
         velocity = np.empty((count, LAG + 1))
         cross = np.empty((count, LAG + 1), np.complex128)
-        for first in range(0, count, self._lanes):  # what fits into the cache
+        for first in range(0, count, self._lanes):  # as many as fit into the cache
             some = slice(first, first + self._lanes)
             mine = Moments(u.length, u.total[some], u.moment[some], u.head[some], u.tail[some])
             velocity[some], cross[some] = self._finished(first // self._lanes, mine)

@@ -65,7 +65,7 @@ _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 class Fitted:
     """A fitted number with its standard deviation; nan if there were no data to fit."""
 
-    value: float  # in the unit of what was fitted
+    value: float  # in the unit of the fitted quantity
     sd: float  # standard deviation, same unit
 
 

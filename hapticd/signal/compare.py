@@ -189,7 +189,7 @@ class EnvelopeConditions:
     filters_hz: tuple[float, float] = (100.0, 72.0)  # corners of velocity and acceleration
     band_hz: tuple[float, float] = (2.0, 500.0)  # judged band
     estimator: str = "spa"  # of Z: "spa" or "h_force"
-    grip: str = "free"  # what held the display, in words
+    grip: str = "free"  # how the display was held
     perturbation_psd_n2_per_hz: float = 0.0  # one-sided density of the perturbing force
     judged_hz: tuple[float, float] = (2.0, 500.0)  # first and last judged frequency
     confidence: float = 0.95  # of the verdicts

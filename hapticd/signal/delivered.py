@@ -288,7 +288,7 @@ class Fit(NamedTuple):
     rows: float
 
     def attenuated(self, noise: float) -> float:
-        """Share of the slope that noise of variance `noise` in its column takes away."""
+        """Share of the slope removed by noise of variance `noise` in its column."""
         return self.rows * noise / self.information if self.information > 0.0 else inf
 
 

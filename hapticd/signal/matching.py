@@ -125,7 +125,7 @@ def fitting(own_n: Floats, other: Floats, known: Flags) -> Flags:
     return np.asarray(known & np.repeat(fits, BLOCK)[: own_n.size])
 
 
-# --- what a file lost -----------------------------------------------------------------------------
+# --- gaps of a file -------------------------------------------------------------------------------
 
 
 INNER = 256  # samples of a stretch that can show a k between two others

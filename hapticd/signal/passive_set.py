@@ -49,9 +49,9 @@ _EDGE = 0.999  # of the way to the end of the box
 class Limits:
     """Smallest and largest passive values along each axis."""
 
-    stiffness: tuple[float, float]  # (least, most), N/m
-    virtual_damping: tuple[float, float]  # (least, most), N s/m
-    mass: tuple[float, float]  # (least, most), kg
+    stiffness: tuple[float, float]  # (minimum, maximum), N/m
+    virtual_damping: tuple[float, float]  # (minimum, maximum), N s/m
+    mass: tuple[float, float]  # (minimum, maximum), kg
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class PassiveSet:
     """Margins on a grid of environments; a negative margin or nan is not passive."""
 
     axes: tuple[Floats, Floats, Floats]  # ascending K N/m, B N s/m, M kg
-    margin: Floats  # (nK, nB, nM) least Re Z, N s/m
+    margin: Floats  # (nK, nB, nM) minimum Re Z, N s/m
 
     @property
     def passive(self) -> Flags:

@@ -38,7 +38,7 @@ __all__ = ["CHANGING", "PeriodicSpectra", "changing", "periodic", "periodic_find
 
 LEAST_POWER = 1e-9  # of the strongest harmonic's power: below it a harmonic is not excited
 CHANGING = (
-    0.03  # of the force's rms, what may not repeat: resolution and noise of the torque channel
+    0.03  # of the force's rms, part that may not repeat: resolution and noise of the torque channel
 )
 DISTORTED = 0.01  # scatter between realisations from which distortion is reported
 UNKNOWN: Floats = np.empty(0)

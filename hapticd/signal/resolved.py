@@ -111,8 +111,8 @@ class Resolved(Spectra):
 
     @property
     def ring(self) -> tuple[float, float]:
-        """Time [s] in which the strongest free motion decays by e, 2 m / Re Z, and the frequency
-        [Hz] of the line next to it; inf where Re Z does not damp it.
+        """Time [s] in which the strongest motion decays by e when free, 2 m / Re Z, and the
+        frequency [Hz] of the line next to it; inf where Re Z does not damp it.
 
         2 pi m is the slope of f Im Z over f^2. The velocity is a mean over the width of a fit, so
         all lines within half of that from the resonance have the same size. The resonance is where
@@ -241,7 +241,7 @@ def _fits(
     return fit
 
 
-# --- lines below those that the window shows ------------------------------------------------------
+# --- lines below those of the window --------------------------------------------------------------
 
 
 FIRST_SHOWN = 2 * LINE_WIDTH  # of the window's own lines at which it shows unexplained power

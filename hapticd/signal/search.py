@@ -258,7 +258,7 @@ def _middle(search: Search) -> Floats:
     return np.asarray(found.unit[np.argmax(margin(found, search.box.to_environment(found.unit)))])
 
 
-# --- what a model says beforehand -----------------------------------------------------------------
+# --- the prior of a model -------------------------------------------------------------------------
 
 
 SHAPE = (20, 12, 14)  # of the grid of b_c

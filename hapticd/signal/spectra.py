@@ -27,8 +27,8 @@ Limitations:
 - A record shorter than a few windows, or a spring below 1/(M T): the window smooths the steep
   spectrum and pulls the phase to 0.
 - Channels that are not sampled together: a skew d turns the phase by 360 f d degrees. A velocity
-  sampled at the instant at which a held force changes is such a skew. Record what the board's probe
-  records, means of force and velocity over the same interval, or correct it (`corrected`).
+  sampled at the instant at which a held force changes is such a skew. Record means of force and
+  velocity over the same interval, as the board's probe does, or correct it (`corrected`).
 - A drift: the window's side lobes, up to -0.03 of the value at 0 Hz, have their zeros on the lines
   but not between them.
 """
@@ -251,9 +251,9 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) ->
     """Return `trial` as if its channels had been sampled together and the velocity channel reached
     down to 0 Hz.
 
-    `skew_s`: the velocity lags the force of the same sample by `skew_s`. `high_pass_hz`: corner of
-    a first-order high-pass in the velocity channel; the value at 0 Hz does not change. If both are
-    0, `trial` itself is returned. The hold of the force and the averaging of the velocity are not
+    `skew_s`: time from the force to the velocity of one sample. `high_pass_hz`: corner of a
+    first-order high-pass in the velocity channel; the value at 0 Hz does not change. If both are 0,
+    `trial` itself is returned. The hold of the force and the averaging of the velocity are not
     faults: predictions are compared as they would be recorded (`loop`).
     """
     if not (skew_s or high_pass_hz):

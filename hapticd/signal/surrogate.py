@@ -124,8 +124,8 @@ def _misfit(
 class Box:
     """The range of the search."""
 
-    low: tuple[float, float, float]  # least K N/m, B N s/m, M kg
-    high: tuple[float, float, float]  # most K N/m, B N s/m, M kg
+    low: tuple[float, float, float]  # minimum K N/m, B N s/m, M kg
+    high: tuple[float, float, float]  # maximum K N/m, B N s/m, M kg
 
     def to_unit(self, environments: npt.ArrayLike) -> Floats:
         """Map environments (N, 3) to the unit box."""

@@ -83,7 +83,7 @@ __all__ = [
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
-Channels = Literal["recorded"]  # force as it was held, velocity as it was averaged
+Channels = Literal["recorded"]  # held force, averaged velocity
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 MANY = 18.0  # degrees of freedom from which the expansion of Student's t holds

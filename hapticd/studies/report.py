@@ -108,7 +108,7 @@ DEFAULT: Look = {
     "color": BLACK,
     "linestyle": "",
 }
-CHEAPEST = "cheapest setting within 10 % of the best"  # what `knee` marks
+CHEAPEST = "cheapest setting within 10 % of the best"  # label of `knee`
 KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
 METHODS = {
     "exact": ("exact map", BLUE, "o"),
@@ -120,7 +120,7 @@ SMALLEST = 1e-16
 GONE = 3.0
 
 
-# --- a scene that was run -------------------------------------------------------------------------
+# --- the run of a scene ---------------------------------------------------------------------------
 
 
 @styled()
@@ -273,7 +273,7 @@ def impedance_rows(trial: SceneTrial) -> list[dict[str, float]]:
     ]
 
 
-# --- what is simulated, and why -------------------------------------------------------------------
+# --- the model explained --------------------------------------------------------------------------
 
 
 def explained(found: Explanation) -> tuple[Table, ...]:
@@ -507,7 +507,7 @@ def _changed(row: LeftOut) -> str:
     return "the answer is gone" if row.change == inf else changed(row.change)
 
 
-# --- what accuracy costs in time ------------------------------------------------------------------
+# --- the computing time of accuracy ---------------------------------------------------------------
 
 
 def accuracy_table(result: AccuracyResult) -> Table:
@@ -667,7 +667,7 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     )
 
 
-# --- explicit methods beside the exact map --------------------------------------------------------
+# --- explicit methods and the exact map -----------------------------------------------------------
 
 
 @styled()

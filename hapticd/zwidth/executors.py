@@ -160,7 +160,7 @@ def _greeted(address: str) -> None:
     """
     place = urlsplit(address)
     with create_connection((str(place.hostname), place.port or 0), timeout=PATIENCE_S) as link:
-        length = link.recv(8)  # of what follows, little-endian
+        length = link.recv(8)  # of the message, little-endian
     if len(length) < 8 or int.from_bytes(length, "little") > GREETING_MOST:
         raise OSError("the program at that address is not a Dask scheduler")
 

@@ -16,7 +16,7 @@ Doubtful calibrations are refused (`recording.calibrations`), or named with the 
 verdict.
 
 Limitations: a board without probe inputs (refused); a host so busy that slots are lost (reported,
-then undecided); ticks and samples that arrive far apart, because both are cut by the same servo.
+then undecided); ticks and samples that arrive far apart, although the same servo sends both.
 """
 
 import datetime
@@ -189,7 +189,7 @@ class LiveRecording:
         )  # fmt: skip
         self._monitor = TrialMonitor(watch, PROBE_RATE_HZ)
         self._gaps = GapFiller()
-        # (2, n) force and velocity, and which came
+        # (2, n) force and velocity, and which were received
         self._parts: list[tuple[Floats, Flags]] = []
         self._taken = 0  # samples
         self._command_n = 0.0  # largest so far

@@ -77,7 +77,7 @@ class BatchResult:
     velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
     cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
     section_rms_m_per_s: Values | None = None  # (n, sections) of 2,048 samples
-    # (samples,) if all trials share it, else (n, samples): interval means
+    # (samples,) if all trials share it, otherwise (n, samples): interval means
     torque_n: Values | None = None
     velocity_m_per_s: Values | None = None  # (n, samples), interval means
     position_m: Values | None = None  # (n, ticks) at the input of the law

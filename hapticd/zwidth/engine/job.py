@@ -325,7 +325,7 @@ class Heating:
         return self._nodes[key]
 
 
-# --- what drives a group --------------------------------------------------------------------------
+# --- inputs of a group ----------------------------------------------------------------------------
 
 BLOCK_TICKS = 8192  # in a call of a kernel, and between two tallies, at most
 

@@ -53,7 +53,7 @@ COLUMNS = 3
 ASIDE = 0.12  # of a step of B: distance of the marks of two levels at one point
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: there is one slice between two of them
 NEAR = 0.02  # of the range of masses: trials this close to a slice are shown in it
-APART_IN = 0.17  # least distance of two numbers
+APART_IN = 0.17  # minimum distance of two numbers
 AXIS_LABELS = {
     "K": ("largest K (N/m)", 1.0),
     "B": ("largest B (N s/m)", 1.0),
