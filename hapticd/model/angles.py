@@ -35,7 +35,7 @@ _FARTHEST = 7.0  # fixed steps: beyond it the ladder is not denser
 
 
 def held_poles(model: Model, active_damping_ns_per_m: float) -> Complexes:
-    """Poles [rad/s] (n - 1,) of `model` with its probe held still."""
+    """Return the poles [rad/s] (n - 1,) of `model` with its probe held still."""
     rotor = port_states(model)[0]
     held = np.delete(np.delete(model.a(active_damping_ns_per_m), rotor, 0), rotor, 1)
     return np.linalg.eigvals(held).astype(np.complex128)

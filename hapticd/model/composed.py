@@ -179,12 +179,12 @@ class RowTerms:
         }
 
     def flat(self, letter: str, rows: Rows) -> Row:
-        """Coefficients of the block `letter` in the order of its names."""
+        """Return the coefficients of the block `letter` in the order of its names."""
         pairs = zip(rows, self.by_letter[letter], strict=True)
         return tuple(sign * row[column] for row, terms in pairs for _, column, sign in terms)
 
     def names(self, letter: str) -> list[str]:
-        """The names of the cells of the block `letter`."""
+        """Return the names of the cells of the block `letter`."""
         return [f"{letter}{k}" for k in range(sum(map(len, self.by_letter[letter])))]
 
     def row(self, letter: str, i: int, **renamed: str) -> str:
@@ -196,7 +196,7 @@ class RowTerms:
         return " + ".join(base + products) or "0.0"
 
     def cell(self, letter: str, i: int, column: str) -> str:
-        """The cell that holds the coefficient of the input `column` in row i."""
+        """Return the cell that holds the coefficient of the input `column` in row i."""
         j = self.n + self.params.columns.index("torque" if column in ON_ROTOR else column)
         first = sum(map(len, self.by_letter[letter][:i]))
         return f"{letter}{first + [term.column for term in self.by_letter[letter][i]].index(j)}"
@@ -218,7 +218,7 @@ class RowTerms:
 
 
 def viewer(terms: RowTerms, name: str) -> View:
-    """`view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
+    """Return `view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
     picked = picked_state(getattr(terms.params, name))
     if picked is None:
         state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
@@ -238,7 +238,7 @@ def picked_state(output: OutputParams) -> int | None:
 
 
 def output_text(terms: RowTerms, name: str, level: str = "level") -> str:
-    """The output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
+    """Return the output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
     output = getattr(terms.params, name)
     parts = []
     for c0, c1, variable in zip(

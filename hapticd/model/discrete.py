@@ -74,7 +74,7 @@ def beyond(name: str, what: str, why: str) -> ConfigError:
 
 
 def expm(matrix: Array) -> Array:
-    """e^matrix for a finite square float64 matrix (n, n). ValueError if it is not finite."""
+    """Return e^matrix for a finite square float64 matrix (n, n). ValueError if it is not finite."""
     if not np.isfinite(matrix).all():
         raise ValueError("the exponential of a matrix that is not finite")
     scale = _balance(matrix)
@@ -139,9 +139,8 @@ def discretise(model: Model, duration_s: float, active_damping_ns_per_m: float =
 
 
 def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Array]:
-    """Columns (old, new), each (n,), of a command that changes within the step `whole`.
-
-    It changes `fraction` (0..1) of the step after its start.
+    """Return columns (old, new), each (n,), of a command that changes within the step `whole`,
+    `fraction` (0..1) of the step after its start.
     """
     column = model.inputs.command
     rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.active_damping_ns_per_m)
@@ -164,7 +163,9 @@ def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> flo
 
 
 def delay_steps(delay_periods: float) -> tuple[int, float]:
-    """(whole periods, fraction of one) after the sample at which the command takes effect."""
+    """Return (whole periods, fraction of one) after the sample at which the command takes
+    effect.
+    """
     count = floor(delay_periods + SNAP)
     fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0

@@ -97,7 +97,7 @@ ZETA = sqrt(0.5)  # damping ratio of a Butterworth low-pass of the second order
 
 
 def number(default: Any = MISSING, **limits: float) -> Any:
-    """A parameter with its sensible range: gt, ge, lt, le, enforced where files are read."""
+    """Declare a parameter with its range: gt, ge, lt, le, enforced where files are read."""
     return field(default=default, metadata=limits)
 
 
@@ -534,7 +534,9 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
 
 
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
-    """Resistance [ohm] at `temperature_c` of copper that has `resistance_ohm` at `reference_c`."""
+    """Return the resistance [ohm] at `temperature_c` of copper with `resistance_ohm` at
+    `reference_c`.
+    """
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
 
 
@@ -736,6 +738,6 @@ BY_KEY = {kind.key: kind for kind in KINDS}
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """`effects` in the order in which they are composed."""
+    """Return `effects` in the order of composition."""
     keys = list(BY_KEY)
     return tuple(sorted(effects, key=lambda effect: keys.index(effect.key)))

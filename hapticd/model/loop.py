@@ -116,7 +116,9 @@ class Responses:
 
 
 def port_states(model: Model) -> list[int]:
-    """Velocity states of the ports: the rotor's, then those of other bodies with friction."""
+    """Return the velocity states of the ports: the rotor's, then those of other bodies with
+    friction.
+    """
     rotor = int(np.argmax(model.outputs.velocity.c0))
     return [rotor, *(contact.velocity for contact in model.contacts if contact.velocity != rotor)]
 
@@ -221,7 +223,7 @@ def sampled(model: Model, active_damping_ns_per_m: float = 0.0) -> Sampled:
 def pulse_transfer(
     model: Model, turn: Complexes, active_damping_ns_per_m: float = 0.0
 ) -> Complexes:
-    """Pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
+    """Return the pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
     device = sampled(model, active_damping_ns_per_m)
     late = np.stack((device.new, device.old), axis=1)
     x = np.linalg.solve(

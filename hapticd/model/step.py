@@ -73,13 +73,13 @@ def phi2(a: float) -> float:
 def held_force_response(
     mass_kg: float, damping_ns_per_m: float, duration_s: float
 ) -> tuple[float, float, float, float]:
-    """The exact response of a mass to a held force f, as four coefficients.
+    """Return the exact response of a mass to a held force f, as four coefficients.
 
         v' = decay v + velocity_per_n f
         x' = x + position_per_velocity v + position_per_n f
 
-    They are returned in this order: decay [1], velocity_per_n [m/s/N], position_per_velocity [s],
-    position_per_n [m/N].
+    Their order is decay [1], velocity_per_n [m/s/N], position_per_velocity [s], position_per_n
+    [m/N].
     """
     a = damping_ns_per_m * duration_s / mass_kg
     reach_s = duration_s * phi1(a)

@@ -67,7 +67,7 @@ class Clock:
     residual_samples: float  # rms of the pieces about the line
 
     def at(self, own_samples: Integers) -> Floats:
-        """Rows (n,) at samples (n,) of the own record, if nothing is lost."""
+        """Return rows (n,) at samples (n,) of the own record, if nothing is lost."""
         return np.asarray(self.offset_rows + (1.0 + 1e-6 * self.ppm) * own_samples, np.float64)
 
 

@@ -60,15 +60,15 @@ class BandWidth:
 
 
 def width_db(found: Envelope, low_hz: float, high_hz: float) -> float:
-    """Mean width [dB] of an envelope over ln f between two frequencies. AnalysisError unless the
-    envelope has two values there.
+    """Return the mean width [dB] of an envelope over ln f between two frequencies. AnalysisError
+    unless the envelope has two values there.
     """
     return float(mean_over_ln_f(found.frequency_hz, found.width_db(), (low_hz, high_hz)))
 
 
 def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
-    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two of
-    the frequencies (F,) [Hz] lie there.
+    """Return the mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless
+    two of the frequencies (F,) [Hz] lie there.
     """
     low_hz, high_hz = band_hz
     inside = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
@@ -84,13 +84,13 @@ def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, f
 def widths_db(
     found: Envelope, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ
 ) -> tuple[BandWidth, ...]:
-    """`width_db` of several bands, by default of `BANDS_HZ`."""
+    """Return `width_db` of several bands, by default of `BANDS_HZ`."""
     return tuple(BandWidth(low, high, width_db(found, low, high)) for low, high in bands_hz)
 
 
 def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
-    """Area [N/m N s/m] of the passive region of the K-B plane with K >= 0 and B >= 0 at that
-    virtual mass, as a stiffness-damping plot shows it.
+    """Return the area [N/m N s/m] of the passive region of the K-B plane with K >= 0 and B >= 0 at
+    that virtual mass, as a stiffness-damping plot shows it.
     """
     stiffness, damping, _ = found.axes
     kept = np.flatnonzero(damping >= 0.0)
@@ -103,8 +103,8 @@ def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
 
 
 def stiffness_at(found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Largest passive K [N/m] at this virtual damping, linear between grid lines; nan if none is
-    passive. AnalysisError outside the grid.
+    """Return the largest passive K [N/m] at this virtual damping, linear between grid lines; nan if
+    none is passive. AnalysisError outside the grid.
     """
     stiffness, damping, _ = found.axes
     if not damping[0] <= virtual_damping_ns_per_m <= damping[-1]:
@@ -123,8 +123,8 @@ def stiffness_at(found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: fl
 def stiffness_rate(
     found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0
 ) -> float:
-    """Slope dK/dB [1/s] of the boundary at this virtual damping, over one step of the grid
-    (one-sided at its ends).
+    """Return the slope dK/dB [1/s] of the boundary at this virtual damping, over one step of the
+    grid (one-sided at its ends).
     """
     damping = found.axes[1]
     step = float(np.min(np.diff(damping)))
@@ -236,7 +236,9 @@ def check_alike(
 
 
 def normalised(found: Envelope, mass_kg: float) -> Envelope:
-    """`found` per kilogram of moving mass: Z/m [1/s], or Y m [s]. AnalysisError without a mass."""
+    """Return `found` per kilogram of moving mass: Z/m [1/s], or Y m [s]. AnalysisError without a
+    mass.
+    """
     if not mass_kg > 0.0:
         raise AnalysisError(
             f"mass {mass_kg} kg: the mass that moves at the port must be positive to divide by it"

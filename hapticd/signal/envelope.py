@@ -39,7 +39,7 @@ class Edge:
 class Envelope:
     """Upper and lower edges of |Z| or |Y| over `frequency_hz` (F,), and of their phase.
 
-    `trials` are the names that owners point to, in the order of adding.
+    `trials` are the names of the trials in the order of adding; owners are indices into them.
     """
 
     frequency_hz: Floats
@@ -57,7 +57,7 @@ class Envelope:
         return np.asarray(20.0 * np.log10(self.upper.value / self.lower.value))
 
     def owner(self, edge: Edge) -> list[str]:
-        """Names of the trials that own the points of `edge`."""
+        """Return the names of the trials that own the points of `edge`."""
         return [self.trials[index] for index in edge.owner]
 
 
@@ -83,7 +83,9 @@ def of_one(
 
 
 def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
-    """Envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
+    """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are indices
+    (N,).
+    """
     size = np.abs(z)
     angle = np.degrees(np.angle(z))
     none = np.zeros(frequency_hz.size)

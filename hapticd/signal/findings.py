@@ -120,7 +120,7 @@ class Energy:
 
 
 def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
-    """Energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
+    """Return the energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
     flowed = np.concatenate(([0.0], np.cumsum(force_n * velocity_m_per_s) / rate_hz))
     lowest = int(np.argmin(flowed))
     return Energy(float(flowed[lowest]), lowest / rate_hz, float(flowed[-1]))

@@ -91,14 +91,14 @@ def ascending(axes: tuple[Floats, ...]) -> None:
 
 
 def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:
-    """All environments (N, 3) of a grid, M changing fastest."""
+    """Return all environments (N, 3) of a grid, M changing fastest."""
     return np.stack(
         np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1
     ).reshape(-1, 3)
 
 
 def set_limits(found: PassiveSet) -> Limits:
-    """Extremes over the whole set. AnalysisError for an empty one."""
+    """Return the extremes over the whole set. AnalysisError for an empty one."""
     if not found.passive.any():
         raise AnalysisError("no environment of the grid is passive: there are no limits")
     kept = [
@@ -123,7 +123,7 @@ def open_ends(found: PassiveSet) -> tuple[str, ...]:
 
 
 def volume(found: PassiveSet) -> float:
-    """Volume of the set [N/m N s/m kg]."""
+    """Return the volume of the set [N/m N s/m kg]."""
     cell = np.prod(np.meshgrid(*(np.diff(axis) for axis in found.axes), indexing="ij"), axis=0)
     return float((cell * _shares(found.margin)).sum())
 
@@ -206,10 +206,10 @@ def directions() -> Floats:
 
 
 def samples() -> Floats:
-    """Random points (N_SAMPLES, 3) of the unit box, always the same."""
+    """Return random points (N_SAMPLES, 3) of the unit box, always the same."""
     return np.random.default_rng(1).random((N_SAMPLES, 3))
 
 
 def distance(one: Floats, other: Floats) -> Floats:
-    """Distance from each of `one` (N, 3) to the nearest of `other` (n, 3)."""
+    """Return the distance from each of `one` (N, 3) to the nearest of `other` (n, 3)."""
     return np.asarray(np.sqrt(((one[:, None] - other) ** 2).sum(axis=2)).min(axis=1))

@@ -61,7 +61,7 @@ class PeriodicSpectra(Spectra):
     resolved: ClassVar[bool] = True
 
     def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
-        """Spectra at some of the harmonics, `which` (F,)."""
+        """Return spectra at some of the harmonics, `which` (F,)."""
         found = super().part(which)
         assert isinstance(found, PeriodicSpectra)
         between = (self.between_periods[which], self.between_realisations[which])

@@ -101,7 +101,7 @@ class Resolved(Spectra):
     resolved: ClassVar[bool] = True
 
     def part(self, which: Flags | Integers | slice) -> Spectra:
-        """Spectra at some of the frequencies, `which` (F,)."""
+        """Return spectra at some of the frequencies, `which` (F,)."""
         return Spectra.part(replace(self, bias=self.bias[which]), which)
 
     @property

@@ -307,7 +307,7 @@ class ModelPrior:
         return self._known(environments).resistance_ns_per_m
 
     def headroom(self, environments: Floats) -> Floats:
-        """Headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
+        """Return the headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
         friction = self._known(environments).friction_ns_per_m
         share = self._needed(environments) / np.maximum(friction, _LEAST_NS_PER_M)
         return np.clip(1.0 / BURSTS[-1] - share, -1.0, 1.0)

@@ -71,7 +71,7 @@ class ChannelFaults:
     high_pass_hz: float = 0.0
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Response of the velocity channel (F,); 1 at 0 Hz."""
+        """Return the response of the velocity channel (F,); 1 at 0 Hz."""
         f = frequency_hz
         one = np.ones(f.size, np.complex128)
         passed = np.divide(1j * f, self.high_pass_hz + 1j * f, out=one, where=f > 0.0)
@@ -132,7 +132,7 @@ class Spectra:
         return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
-        """Spectra at some of the frequencies, `which` (F,)."""
+        """Return spectra at some of the frequencies, `which` (F,)."""
         return replace(self, **{name: getattr(self, name)[which] for name in CHANNELS})
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":

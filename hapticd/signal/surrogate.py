@@ -204,7 +204,7 @@ def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> 
 
 
 def resistance(found: Surrogate, environments: npt.ArrayLike) -> Floats:
-    """Expected Re Z (N, F) [N s/m]."""
+    """Return the expected Re Z (N, F) [N s/m]."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     unit = found.box.to_unit(places)
     near = found.amplitude**2 * kernel(unit, found.unit, found.length)

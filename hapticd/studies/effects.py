@@ -95,7 +95,7 @@ def impedance(
     frequency_hz: Floats,
     method: str,
 ) -> Complexes:
-    """Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
+    """Return Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
     own = display(scene, noise(params.scene))
     if method == PREDICTED:
         return predicted_impedance(
@@ -127,7 +127,7 @@ def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
 
 
 def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """Phase [deg] (F,) of Z under the scene's environment."""
+    """Return the phase [deg] (F,) of Z under the scene's environment."""
     return np.degrees(
         np.angle(impedance(params, scene, params.scene.environment.free, frequencies(), method))
     )
@@ -272,7 +272,7 @@ class _Study:
         self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
 
     def leave_out(self, keys: tuple[str, ...], method: str) -> LeftOut:
-        """The scene without `keys`; the whole scene if there are none."""
+        """Evaluate the scene without `keys`; the whole scene if there are none."""
         words = ", ".join(keys)
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
         full = self._values((), method)

@@ -447,7 +447,7 @@ def effects_words(result: EffectsResult) -> str:
 
 @styled()
 def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figure:
-    """Change of the answer, effect by effect. ConfigError without matplotlib."""
+    """Draw the change of the answer, effect by effect. ConfigError without matplotlib."""
     params = result.plan.params
     rows = result.rows[::-1]
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"

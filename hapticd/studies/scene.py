@@ -128,7 +128,7 @@ class SceneResult:
 
 
 def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
-    """Two cases: without active damping and with it. `seconds` None: the scene's own."""
+    """Plan two cases: without active damping and with it. `seconds` None: the scene's own."""
     own = tuple((step.at_s, step.level_ns_per_m) for step in scene.active_damping)
     damped = level(scene) > 0.0
     cases = (
@@ -304,7 +304,7 @@ class Integrators:
 
 
 def compare_integrators(scene: Scene) -> Integrators:
-    """Compare them on the scene's device at its highest active damping. ConfigError as
+    """Compare the methods on the scene's device at its highest active damping. ConfigError as
     `compose`.
     """
     model = compose(scene)

@@ -38,7 +38,9 @@ BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial that are searched for its m
 
 
 def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> TrialRecord:
-    """The trial in a recording called `name`. AnalysisError for one without probe samples."""
+    """Return the trial in a recording called `name`. AnalysisError for one without probe
+    samples.
+    """
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 

@@ -351,7 +351,7 @@ def _gone(status: Status) -> TrialEnd | None:
 
 
 def signals(probe: Block) -> Floats:
-    """Force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
+    """Return force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
     scales = {name: probe.header["scale"][name] for name in ("torque", "velocity")}
     return np.stack(
         [

@@ -375,7 +375,7 @@ def halved(found: PassiveSet) -> PassiveSet:
 
 
 def place_of(found: PassiveSet, point: Point) -> tuple[int, ...]:
-    """Indices of a point of the grid."""
+    """Return the indices of a point of the grid."""
     return tuple(
         int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True)
     )

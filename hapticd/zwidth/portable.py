@@ -73,7 +73,7 @@ def device_path(name: str) -> Path:
 
 
 def device_hash(name: str) -> str:
-    """SHA-256 (hex) of the device file that `device_path` finds."""
+    """Return the SHA-256 (hex) of the device file that `device_path` finds."""
     return hashlib.sha256(device_path(name).read_bytes()).hexdigest()
 
 

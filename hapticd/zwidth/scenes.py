@@ -57,7 +57,7 @@ SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
 def level(scene: Scene) -> float:
-    """The highest active damping [Ns/m] of the scene."""
+    """Return the highest active damping [Ns/m] of the scene."""
     return max(step.level_ns_per_m for step in scene.active_damping)
 
 
@@ -140,7 +140,9 @@ class Display:
         )
 
     def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
-        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it."""
+        """Return Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record
+        it.
+        """
         return recorded_impedances(
             self.model, points, frequency_hz, level, self.filters, self.perturbation
         )

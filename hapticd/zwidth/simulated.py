@@ -56,7 +56,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
 
 
 def simulated(scene: Scene, found: BatchResult) -> TrialRecord:
-    """The first trial of a batch that kept its records."""
+    """Return the first trial of a batch that kept its records."""
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     escape = TrialEnd(EndReason.ESCAPE, f"diverged after {found.diverged_at_s[0]:.3g} s")
     ticks = round(found.samples[0] * scene.rate_hz / found.rate_hz)
@@ -99,7 +99,9 @@ def spectra_of(
 
 
 def pooled(trials: list[Spectra]) -> Complexes:
-    """Z (F,) of several trials together: sums of their spectra. AnalysisError without trials."""
+    """Return Z (F,) of several trials together: sums of their spectra. AnalysisError without
+    trials.
+    """
     if not trials:
         raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
     return np.asarray(

@@ -103,7 +103,7 @@ class WallResult:
     lines: tuple[WallLine, ...]
 
     def at(self, level: float) -> tuple[WallLine, ...]:
-        """The boundary at one active damping, by wall damping."""
+        """Return the boundary at one active damping, by wall damping."""
         return tuple(line for line in self.lines if line.active_damping_ns_per_m == level)
 
 

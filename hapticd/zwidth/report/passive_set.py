@@ -74,7 +74,7 @@ def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
 def area(
     axis: Axes, damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any
 ) -> None:
-    """The largest K over B, tinted below; the first level, the smaller set, is on top."""
+    """Draw the largest K over B, tinted below; the first level, the smaller set, is on top."""
     low = 0.4 - 0.01 * rank
     axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
     axis.plot(damping, stiffness, **{**look, **more})
