@@ -1,11 +1,11 @@
 """The calibrations behind a device's numbers, and doubts about them.
 
 Each scale of a device file contains the date and the board of its measurement (`ScaleParams`).
-Measurements with the device depend on the scales of position and force, of active damping if it has
-any, of the probe and the winding's temperature if it relies on them, and of the compensated
-resistance if it has that. A calibration is in doubt if its table has no date, is older than the
-device file's `calibration_days`, is dated after today, belongs to another board, or used a scale of
-force that has changed since: active damping is calibrated in newtons.
+Measurements with the device depend on the scales of position and force, and of those that it has or
+relies on: active damping, probe, winding temperature, compensated resistance. A calibration is in
+doubt if its table has no date, a date after today, or one older than the device file's
+`calibration_days`. It is also in doubt if it belongs to another board, or if its scale of force has
+changed since, because active damping is calibrated in newtons.
 
 A simulated device matches its file by definition and needs no calibration.
 

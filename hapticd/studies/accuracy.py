@@ -15,10 +15,10 @@ same total the cheaper one is better. `knee` marks the cheapest setting of a swe
 is within 10 % of the best one's: higher cost gains little, unless it is the last of the sweep.
 
 Noise (`PhaseComparison`): phase of the impedance, rms over the band. The reference of a linear
-scene is its exact first harmonic (`model.loop`). For any other scene it is simulated: a group of
-trials of the scene's length, each with a perturbation of its own, in double precision with 32
-sub-steps per sample, their spectra summed under a window four times as long as the paper's. It is
-known to a third of the deviation of one trial.
+scene is its exact first harmonic (`model.loop`). For any other scene a group of trials of the
+scene's length is simulated, in double precision with 32 sub-steps per sample. Each has a
+perturbation of its own, and their spectra are summed under a window four times as long as the
+paper's. This reference is known to a third of the deviation of one trial.
 
 A push (`PositionComparison`): position, rms over the trial, in micrometres. The reference is the
 same trial in double precision with 32 sub-steps per sample. The resolution of a position is a

@@ -5,14 +5,13 @@ Both trials of a run get the same perturbation. A scene without damping steps of
 with the level of `damping on`. The temperature of a winding that warms up comes from trials of
 growing length, because a trial reports it only at its end.
 
-The largest active damping of the device, and the largest with the scene's environment, are edges of
-stability found by bisection on eigenvalues: of the open device in continuous time
-(`model.stability`), and of the exact map of one servo tick (`model.loop`), without Coulomb
-friction. Above the first the analog circuit oscillates whatever the servo does. The second is a
-range, because too little damping can be unstable as well. The resistance compensation limits the
-device (Weir, Colgate and Peshkin 2008, section 5): a winding colder than assumed leaves a ceiling
-of K^2 / dR, a hot one may leave none. The ceiling is therefore computed for a range of winding
-temperatures.
+The largest active damping of the device is found by bisection on the eigenvalues of the open device
+in continuous time (`model.stability`). The largest with the scene's environment uses those of the
+exact map of one servo tick (`model.loop`), without Coulomb friction. Above the first the analog
+circuit oscillates whatever the servo does. The second is a range, because too little damping can be
+unstable as well. The resistance compensation limits the device (Weir, Colgate and Peshkin 2008,
+section 5): a winding colder than assumed leaves a ceiling of K^2 / dR, a hot one may leave none.
+The ceiling is therefore computed for a range of winding temperatures.
 
 Explicit Euler and Runge-Kutta 4 are compared with the exact map, on the linear device of the scene:
 

@@ -26,7 +26,7 @@ Under a periodic force it gives no intermediate verdict (`random` is False), bec
 those of noise.
 
 Lost samples of the probe and lost slots of the servo are filled, counted and reported. A record
-with closed gaps jumps at every one of them, and a jump is noise at all frequencies: half a per cent
+with closed gaps jumps at every one of them, and a jump is noise at all frequencies. Half a per cent
 lost in groups of six removed more than half of |Z| at 2 Hz over a spring of 500 N/m. Missing
 samples therefore keep their place in time:
 
