@@ -16,8 +16,8 @@ damper that push and never pull: the step is first computed without it, and agai
 position would end beyond it and its force pushes back. A mass at rest is held up to the static
 level, a moving one is braked by the Coulomb level, so a slow push moves it in jerks.
 
-    hold      a spring and a damper from the handle's position at the grasp to a fixed point, which
-              wanders by `tremor_m` rms (first order, 10 Hz; seeded) if requested
+    hold      a spring to the handle's position at the grasp, which wanders by `tremor_m` rms (first
+              order, 10 Hz; seeded) if requested, and a damper to ground
     push      a constant force
     strike    half a sine of force with peak `force_n`
 

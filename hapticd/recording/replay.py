@@ -33,7 +33,7 @@ class ReplayResult:
     replayed: NDArray[np.void]  # (n,), the same fields
     segments: Sequence[tuple[int, int]]  # (first row, row after the last) of each
     first_difference: Difference | None  # None: bit-exact
-    left_out: int = 0  # recorded ticks before the first checkpoint, which cannot be replayed
+    left_out: int = 0  # recorded ticks before a checkpoint, which cannot be replayed
 
     @property
     def time_s(self) -> NDArray[np.float64]:

@@ -288,8 +288,8 @@ def learnt_at(conditions: Conditions) -> Floats:
 
 
 def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
-    """Return the spectrum learnt from a trial; None if the loop was not stable, or moved without
-    the perturbation.
+    """Return the spectrum learnt from a trial; None if the loop was not stable, or its motion had
+    another cause than the perturbation.
     """
     escaped = outcome.max_force_n >= SATURATED * conditions.display.force_limit_n or (
         not outcome.passes and outcome.margin_ns_per_m > 0.0

@@ -82,7 +82,7 @@ def set_type(width_in: float) -> float:
 
 def arranged(panels: Panels, own_in: float, page_in: float, panel_in: float = PANEL_IN) -> Panels:
     """Return names of panels, line by line, for a figure that is `own_in` [in] wide on a screen and
-    `page_in` [in] in print. Single panels below each other are in the order of the columns.
+    is drawn `page_in` [in] wide. Single panels below each other are in the order of the columns.
     """
     known: set[str] = set()
     rows = []
