@@ -289,9 +289,7 @@ def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: 
 
 
 def _load(terms: RowTerms) -> list[str]:
-    """Write `load()`, which sets the cells for the level and the residual; no leaps between
-    nodes.
-    """
+    """Write `load()`, which sets the cells for level and residual; no leaps between nodes."""
     first, *leaps = terms.by_letter
     cells = [name for letter in terms.by_letter for name in terms.names(letter)]
     return [
@@ -311,9 +309,7 @@ def _load(terms: RowTerms) -> list[str]:
 
 
 def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
-    """Write `step(...)`, which reloads changed coefficients and moves the device by whole
-    sub-steps.
-    """
+    """Write `step(...)`, which reloads changed coefficients and moves the device by sub-steps."""
     params = terms.params
     heat = params.heating
     leaps = _leaps(terms)
@@ -421,9 +417,7 @@ def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) 
 
 
 def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str], list[str]]:
-    """Return (lines that find the friction force, rows that use it): `friction.stick_one`
-    inline.
-    """
+    """Return (lines that find the friction force, rows that use it): `friction.stick_one`."""
     response = terms.cell("a", contact.velocity, f"friction_{contact.body}")
     level = repr(contact.level_n)
     lines = [
@@ -630,9 +624,7 @@ def rotor_response(params: PlantParams) -> Callable[[float], Response]:
 
 
 def rest(params: PlantParams, position_m: float) -> State:
-    """Return the state at rest, every body at `position_m`, the winding at its initial
-    temperature.
-    """
+    """Return the state at rest, every body at `position_m`, the winding as at the start."""
     state = tuple(position_m if name.endswith("_position") else 0.0 for name in params.states)
     return state if params.heating is None else (*state, params.heating.start_c)
 

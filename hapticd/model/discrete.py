@@ -46,9 +46,7 @@ LEAST_SHARE = 0.25
 
 @contextmanager
 def computable(name: str, what: str) -> Iterator[None]:
-    """Raise ConfigError if `what` of model `name` divides by zero, overflows or has no
-    eigenvalues.
-    """
+    """Raise ConfigError if `what` of `name` divides by zero, overflows or lacks eigenvalues."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield
@@ -163,9 +161,7 @@ def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> flo
 
 
 def delay_steps(delay_periods: float) -> tuple[int, float]:
-    """Return (whole periods, fraction of one) after the sample at which the command takes
-    effect.
-    """
+    """Return (whole periods, fraction of one) from the sample to the effect of the command."""
     count = floor(delay_periods + SNAP)
     fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0

@@ -37,9 +37,7 @@ __all__ = ["Reach", "reach"]
 
 
 class Reach(NamedTuple):
-    """The motor force that the supply can reach in a step: keep F - drag v, plus or minus
-    `width`.
-    """
+    """Motor force that the supply can reach in a step: keep F - drag v, plus or minus `width`."""
 
     keep: float  # d, 1
     drag_ns_per_m: float  # (1 - d) D

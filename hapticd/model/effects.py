@@ -103,9 +103,7 @@ def number(default: Any = MISSING, **limits: float) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """The base of every effect: its purpose, the sources of its numbers, its terms of the
-    equations.
-    """
+    """Base of every effect: its purpose, the sources of its numbers, its equations."""
 
     key: ClassVar[str]  # table name in a device file: [model.KEY]
     why: ClassVar[str]  # one sentence for `hapticd sim explain`
@@ -534,7 +532,7 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
 
 
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
-    """Return the resistance [ohm] at `temperature_c` of copper with `resistance_ohm` at
+    """Return the resistance [ohm] of copper at `temperature_c`; `resistance_ohm` at
     `reference_c`.
     """
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))

@@ -146,7 +146,7 @@ def marked(force_n: Floats) -> Floats:
 
 
 def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:
-    """Return white noise (samples,) of one-sided density `psd` per Hz, a value held for each 250
+    """Return white noise (samples,) of one-sided density `psd` per Hz, each value held for 250
     us.
     """
     return sqrt(0.5 * psd * PROBE_RATE_HZ) * generator(seed, stream).standard_normal(samples)

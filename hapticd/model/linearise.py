@@ -194,8 +194,8 @@ class CoupledFrictionPorts:
 
 
 def _straight(q: Floats) -> Floats:
-    """Return arccos(q) / sqrt(1 - q^2) for q in 0..1 to 0.4 %, from values and slopes at both
-    ends.
+    """Return arccos(q) / sqrt(1 - q^2) for q in 0..1 to 0.4 %, from both ends' values and
+    slopes.
     """
     return 0.5 * np.pi + q * (-1.0 + q * (_BEND + q * (2.0 - 0.5 * np.pi - _BEND)))
 
@@ -226,8 +226,6 @@ def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> SingleFrict
 
 
 def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:
-    """Return the weights (F,) of an integral of S |Y|^2 over the perturbation's band, by
-    trapezoids.
-    """
+    """Return weights (F,) of the integral of S |Y|^2 over the perturbation's band (trapezoids)."""
     inside = frequency_hz <= perturbation.band_hz
     return np.asarray(np.where(inside, perturbation.psd_n2_per_hz * np.gradient(frequency_hz), 0.0))

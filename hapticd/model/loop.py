@@ -116,9 +116,7 @@ class Responses:
 
 
 def port_states(model: Model) -> list[int]:
-    """Return the velocity states of the ports: the rotor's, then those of other bodies with
-    friction.
-    """
+    """Return the velocity states of the ports: the rotor's, then other bodies with friction."""
     rotor = int(np.argmax(model.outputs.velocity.c0))
     return [rotor, *(contact.velocity for contact in model.contacts if contact.velocity != rotor)]
 
@@ -201,7 +199,7 @@ def _at(turn: Complexes, biquad: Biquad) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder y = row
+    """Device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder y = row
     x.
     """
 
@@ -249,9 +247,7 @@ class Tick:
 def tick_of(
     model: Model, active_damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
 ) -> Tick:
-    """Return one tick of `model` at that level of active damping, to be closed by any
-    environment.
-    """
+    """Return one tick of `model` at that level of active damping, for any environment."""
     device = sampled(model, active_damping_ns_per_m)
     n = len(device.a)
     waiting = device.steps + 1

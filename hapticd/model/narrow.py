@@ -76,9 +76,7 @@ def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Compl
 
 
 def min_real_part(frequency_hz: Floats, z: Complexes, at: At) -> MinimumRealPart:
-    """Return the minima of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z
-    anywhere.
-    """
+    """Return minima of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
     found = MinimumRealPart(
@@ -90,9 +88,7 @@ def min_real_part(frequency_hz: Floats, z: Complexes, at: At) -> MinimumRealPart
 
 
 def _follow(found: MinimumRealPart, f: Floats, z: Complexes, at: At) -> None:
-    """Lower `found` where a dip is expected between lines: first the deepest, then others while
-    deeper.
-    """
+    """Lower `found` where a dip is expected between lines: the deepest first."""
     three = np.stack((f[:-2], f[1:-1], f[2:]))
     _, expected = min_between_lines(three, np.stack((z[:, :-2], z[:, 1:-1], z[:, 2:])))
     for _ in range(_DIPS):
@@ -107,9 +103,7 @@ def _follow(found: MinimumRealPart, f: Floats, z: Complexes, at: At) -> None:
 
 
 def _worth(margin: Floats) -> Floats:
-    """Return how much (N,) [N s/m] a dip must be lower to be followed; 0 if it would change the
-    sign.
-    """
+    """Return how much (N,) [N s/m] deeper a followed dip must be; 0 if it would change the sign."""
     least = np.maximum(_WORTH_NS_PER_M, _WORTH * np.abs(margin))
     return np.where(margin > 0.0, np.minimum(least, margin), least)
 

@@ -42,9 +42,7 @@ class Stability:
 
 
 def stability(model: Model, active_damping_ns_per_m: float = 0.0) -> Stability:
-    """Return the stability of the device alone at that damping level. ConfigError: numbers out of
-    range.
-    """
+    """Return the stability of the device alone at that damping level. ConfigError: out of range."""
     growth = float(modes(model, active_damping_ns_per_m).real.max())
     asked = model.level_gain * active_damping_ns_per_m + model.level_offset_ns_per_m
     with computable(model.name, "the gain of the damping circuit"):
@@ -58,7 +56,7 @@ def stability(model: Model, active_damping_ns_per_m: float = 0.0) -> Stability:
 def modes(
     model: Model, active_damping_ns_per_m: float = 0.0
 ) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-    """Return the eigenvalues [1/s] of the device without its free translation. ConfigError: out of
+    """Return eigenvalues [1/s] of the device without free translation. ConfigError: out of
     range.
     """
     with computable(model.name, f"the modes at {active_damping_ns_per_m:g} N s/m"):
@@ -69,9 +67,7 @@ def modes(
 
 
 def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
-    """Return the largest damping level [Ns/m] at which the device is stable, at most
-    `highest_ns_per_m`.
-    """
+    """Return the largest stable damping level [Ns/m] of the device, at most `highest_ns_per_m`."""
     if stability(model, highest_ns_per_m).stable:
         return highest_ns_per_m
     return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
@@ -80,9 +76,7 @@ def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
 def edge(
     holds: Callable[[float], bool], inside: float, outside: float, halvings: int = HALVINGS
 ) -> float:
-    """Return the last value for which `holds` is true, between `inside`, where it is, and
-    `outside`.
-    """
+    """Return the last value for which `holds` is true, between `inside` (true) and `outside`."""
     for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)

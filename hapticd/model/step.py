@@ -202,9 +202,7 @@ def make_plant(params: BoardParams) -> Plant:
 
 
 def _touched(params: BoardParams, touch: TouchParams) -> Plant:
-    """Return the plant with `touch` on its rotor, which takes over its stops and its friction
-    there.
-    """
+    """Return the plant with `touch` on its rotor, which takes over stops and friction there."""
     substep_s = 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz)
     bare = replace(params, touch=None)
     stops_m = (-inf, inf)

@@ -382,9 +382,7 @@ def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: flo
 
 
 def _outside(lifted: LiftedSystem, law: Complexes, spare: float, angles: Integers) -> Floats:
-    """Return the distance of -1/C outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2
-    (n,).
-    """
+    """Return how far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
     centre, excess = _circle(lifted, spare, angles)
     c = law[angles]
     return np.asarray(1.0 + 2.0 * (c * centre).real + (c.real**2 + c.imag**2) * excess)

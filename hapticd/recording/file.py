@@ -225,9 +225,7 @@ class Recording:
 
 
 def open_recording(path: Path) -> Recording:
-    """Open the recording in `path`, of any kind. ConfigError if it is not one, or cannot be
-    read.
-    """
+    """Open the recording in `path`, of any kind. ConfigError if it is not one or unreadable."""
     if path.suffix == flight.SUFFIX:
         found = flight.read_flight(regular(path, SAMPLES_BYTES))
         with _damage(path, "flight recording"):

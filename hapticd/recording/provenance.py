@@ -40,9 +40,7 @@ GIT_TIMEOUT_S = 5.0
 
 
 def provenance(**more: Any) -> dict[str, Any]:
-    """Return the provenance of a run: the versions behind its numbers, and any other given
-    items.
-    """
+    """Return the provenance of a run: the versions behind its numbers, and further items."""
     return {
         "hapticd": hapticd.__version__,
         "python": platform.python_version(),

@@ -80,9 +80,7 @@ class Stretch:
 
 
 def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
-    """Return the last line of a text file: its origin, and for the probe's which part is one
-    trial.
-    """
+    """Return the last line of a text file: its origin, and the trial in the probe's."""
     content: dict[str, Any] = {
         name: attributes[name] for name in REMARK_ATTRIBUTES if name in attributes
     }

@@ -60,9 +60,7 @@ def _matched(angle: float, zeta: float) -> Biquad:
 
 
 def scaled(biquad: Biquad, gain: float) -> Biquad:
-    """Return the filter with DC gain `gain`; with the rate as gain, differences become
-    derivatives.
-    """
+    """Return the filter with DC gain `gain`; with the rate as gain, it gives derivatives."""
     b0, b1, b2, a1, a2 = biquad
     return gain * b0, gain * b1, gain * b2, a1, a2
 

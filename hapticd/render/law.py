@@ -142,9 +142,7 @@ def wall_force(
 
 
 def end_force(x: float, lower: float, upper: float, stiffness: float) -> float:
-    """Return the force [N] of the springs that begin at the ends of the workspace; 0 between
-    them.
-    """
+    """Return the force [N] of the springs at the ends of the workspace; 0 between them."""
     if x > upper:
         return -stiffness * (x - upper)
     if x < lower:

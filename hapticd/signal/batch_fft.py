@@ -113,9 +113,7 @@ def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
 
 @intrinsic
 def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """Return x y + z; at least one of the three is a vector, and numbers are spread over its
-    lanes.
-    """
+    """Return x y + z; at least one of the three is a vector; numbers are spread over its lanes."""
     kind = next(given for given in (x, y, z) if isinstance(given, Vector))
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:

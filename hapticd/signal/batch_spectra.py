@@ -82,9 +82,7 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
 
 
 class BatchSections:
-    """Spectral sums over `count` trials, a multiple of the lanes of a vector (16 float32, 8
-    float64).
-    """
+    """Spectral sums over `count` trials, a multiple of a vector's lanes (16 float32, 8 float64)."""
 
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
         from hapticd.signal import batch_fft as compiled

@@ -198,9 +198,7 @@ class EnvelopeConditions:
 
 
 def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str, ...]:
-    """Return the names of the unlike conditions; those proportional to the mass are compared per
-    mass.
-    """
+    """Return the unlike conditions by name; those proportional to the mass compare per mass."""
     return tuple(
         item.name
         for item in fields(EnvelopeConditions)

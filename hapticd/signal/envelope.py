@@ -83,7 +83,7 @@ def of_one(
 
 
 def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
-    """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are indices
+    """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners: indices
     (N,).
     """
     size = np.abs(z)

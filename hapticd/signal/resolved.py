@@ -302,9 +302,7 @@ def low_line(
 
 
 def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit:
-    """Fit from half the window's lowest frequency to a little above the first at which it shows
-    lines.
-    """
+    """Fit from half the window's lowest frequency to a little above its first shown line."""
     low = 0.5 * trial.lowest_hz
     high = (0.5 * FIRST_SHOWN + 1.0) * trial.lowest_hz
     bins = np.arange(int(np.ceil(low * trial.seconds)), int(high * trial.seconds) + 1)
@@ -320,7 +318,7 @@ def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit
 def _explained(
     wanted: Complexes, force: Complexes, velocity: Complexes, powers: Floats
 ) -> tuple[Floats, Complexes]:
-    """Return |E|^2 and Q (F,) of `wanted` = Q `velocity` + J + E, of polynomials in `powers` (F,
+    """Return |E|^2 and Q (F,) of `wanted` = Q `velocity` + J + E, polynomials in `powers` (F,
     p).
     """
     columns = _columns(velocity, powers)

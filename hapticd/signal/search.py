@@ -206,9 +206,7 @@ def next_trials(search: Search, count: int = 1) -> Floats:
 
 
 def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
-    """Return whether the search predicts each of `environments` (N, 3) to be passive and stable,
-    (N,).
-    """
+    """Return whether each of `environments` (N, 3) is predicted passive and stable, (N,)."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     found = _fitted(search)
     if search.independent is None:

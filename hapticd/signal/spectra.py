@@ -124,9 +124,7 @@ class Spectra:
 
     @lazy_property
     def whole(self) -> bool:
-        """Whether these are all lines of the window, which also determine the estimate between
-        them.
-        """
+        """Whether these are all lines of the window, which also determine the rest."""
         if self.exact or self.frequency_hz.size != self.lag + 1:
             return False
         return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
@@ -322,9 +320,7 @@ _lines = lru_cache(maxsize=8)(grid_frequencies)
 
 
 def lines_beside(frequency_hz: float, rate_hz: float, lag: int) -> tuple[int, int]:
-    """Return the numbers of the lines at or below and at or above a frequency; equal if it is a
-    line.
-    """
+    """Return the numbers of the lines at or below and at or above a frequency; equal on a line."""
     place = frequency_hz * (2.0 * lag / rate_hz)
     return floor(place + NEAR), ceil(place - NEAR)
 

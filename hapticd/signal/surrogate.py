@@ -76,9 +76,7 @@ def precision(
 
 
 def likeliest(unit: Floats, trend: Floats, values: Floats, noise: Floats) -> tuple[float, float]:
-    """Return length and amplitude of maximum restricted likelihood; `values` (F, n), `noise` (G,
-    n).
-    """
+    """Return length and amplitude of maximum likelihood; `values` (F, n), `noise` (G, n)."""
     rest = values.T - trend @ np.linalg.lstsq(trend, values.T, rcond=None)[0]
     scale = (
         float(np.sqrt(np.mean(rest**2) * len(unit) / max(1, len(unit) - trend.shape[1])))

@@ -139,7 +139,7 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _few(probability: float, degrees_of_freedom: float) -> float:
-    """Return the quantile by bisection of the closed form of P(t); tan of the angle is t /
+    """Return the quantile by bisection of the closed form P(t); tan of the angle is t /
     sqrt(nu).
     """
     nu = round(degrees_of_freedom)

@@ -95,9 +95,7 @@ NEAR_BEST = 1.1  # total errors up to this multiple of the best count as equal
 
 
 def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
-    """Return (the result of `call`, seconds) of the fastest of `times` calls: the least
-    disturbed.
-    """
+    """Return (result of `call`, seconds) of the fastest of `times` calls, the least disturbed."""
 
     def once() -> tuple[T, float]:
         begin_ns = now_ns()

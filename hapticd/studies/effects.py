@@ -116,9 +116,7 @@ def impedance(
 
 
 def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """Return the limits of K [N/m], B [N s/m] and M [kg] < 0; nan if K = B = M = 0 is not
-    passive.
-    """
+    """Return limits of K [N/m], B [N s/m] and M [kg] < 0; nan if K = B = M = 0 is not passive."""
     given = Conditions(scene, params.seconds, noise(params.scene))
     plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
     if method == PREDICTED:
@@ -168,9 +166,7 @@ def compare_each(names: dict[str, float], full: Floats, other: Floats) -> Compar
 
 
 def compare_phase(full: Floats, other: Floats) -> Compared:
-    """Return the largest difference of phase over 90 degrees, that difference, and its
-    frequency.
-    """
+    """Return the largest phase difference over 90 degrees, that difference, and its frequency."""
     turned = (other - full + 180.0) % 360.0 - 180.0
     worst = int(np.argmax(np.abs(turned)))
     numbers = {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
@@ -296,9 +292,7 @@ class _Study:
         return kept, replace(found, effect=", ".join(kept))
 
     def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
-        """Return those of `keys`, the least important first, that prediction leaves out
-        together.
-        """
+        """Return those of `keys`, least important first, that prediction omits together."""
         full = self._values((), PREDICTED)
         dropped: tuple[str, ...] = ()
         for key in keys:

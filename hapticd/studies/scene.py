@@ -249,7 +249,7 @@ def _finite(level_ns_per_m: float) -> float:
 
 
 def _bounded(model: Model, top_ns_per_m: float) -> float:
-    """Return the level at which an over-compensated winding reaches LEAST_LOOP_GAIN, at most
+    """Return the level at which an over-compensated winding reaches LEAST_LOOP_GAIN, up to
     `top`.
     """
     per_level = model.level_gain * model.residual_ohm / model.torque_constant_n_per_a**2
@@ -257,9 +257,7 @@ def _bounded(model: Model, top_ns_per_m: float) -> float:
 
 
 def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> tuple[float, float]:
-    """Return the ceiling and its bound with the winding `kelvin` above the compensated
-    temperature.
-    """
+    """Return the ceiling and its bound with the winding `kelvin` above its compensation."""
     other = replace(own, temperature_c=own.compensated_c + kelvin)
     effects = tuple(other if effect is own else effect for effect in scene.effects)
     model = compose_device(scene.name, effects, scene.rate_hz)
@@ -268,9 +266,7 @@ def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> tuple[float
 
 
 def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
-    """Return the (lowest, highest) level at which the sampled loop is stable; nan if it never
-    is.
-    """
+    """Return (lowest, highest) level at which the sampled loop is stable; nan if it never is."""
 
     def stable(level_ns_per_m: float) -> bool:
         return bool(

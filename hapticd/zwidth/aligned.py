@@ -156,9 +156,7 @@ def _beside(
 
 
 def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats, Flags]:
-    """Return channels (2, n) of the file at the own samples of `track`, and which of them it
-    has.
-    """
+    """Return channels (2, n) of the file at the own samples of `track`, and which exist."""
     even, _ = GapFiller().filled(track.place, channels[:, track.rows])
     measured = np.zeros(even.shape[1], dtype=bool)
     measured[track.place - track.place[0]] = came[track.rows]

@@ -38,9 +38,7 @@ BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial that are searched for its m
 
 
 def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> TrialRecord:
-    """Return the trial in a recording called `name`. AnalysisError for one without probe
-    samples.
-    """
+    """Return the trial in a recording called `name`. AnalysisError without probe samples."""
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 
@@ -94,9 +92,7 @@ def _cut(
 
 
 def _mark(column: ReadColumn, first: int, index: Integers) -> dict[str, int]:
-    """Return where the last mark before row `first` begins, in samples from there on; {} without
-    one.
-    """
+    """Return the start of the last mark before row `first`, relative to it; {} without one."""
     begin = max(0, first - BEFORE)
     marks = find_marks(np.asarray(column("probe", "torque_n"), np.float64)[begin:first])
     return {MARK_SAMPLE: int(index[begin + marks[-1].row] - index[first])} if marks else {}

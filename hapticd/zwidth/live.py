@@ -129,9 +129,7 @@ def _waveform(trial: Trial) -> Floats:
 
 
 def allowed_waveform(trial: Trial, limit_n: float) -> Floats:
-    """Return the perturbation (n,) [N] at 4 kHz. AnalysisError if it exceeds the probe's
-    `limit_n`.
-    """
+    """Return the perturbation (n,) [N] at 4 kHz. AnalysisError above the probe's `limit_n`."""
     waveform = _waveform(trial)
     peak_n = float(np.abs(waveform).max())
     if peak_n <= limit_n:

@@ -79,9 +79,7 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class LevelPlan:
-    """One damping level: the whole grid's prediction, and which points (N,) are near its
-    boundary.
-    """
+    """One damping level: the grid's prediction, and which points (N,) are near its boundary."""
 
     active_damping_ns_per_m: float
     prediction: Prediction
@@ -275,9 +273,7 @@ def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
 
 
 def _batches(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
-    """Return trials near the boundary with the requested conditions, elsewhere with one
-    sub-step.
-    """
+    """Return trials near the boundary as requested, elsewhere with one sub-step."""
     conditions = params.conditions
     points = level.prediction.points
     batches = [TrialBatch(conditions, level.active_damping_ns_per_m, points_of(points[level.near]))]
@@ -304,9 +300,7 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
 
 
 def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return slices of all points of a grid but the last along an axis, and of all but the
-    first.
-    """
+    """Return slices of all points of a grid but the last along an axis, and but the first."""
     low = [slice(None)] * 3
     high = [slice(None)] * 3
     low[place] = slice(None, -1)
@@ -352,9 +346,7 @@ def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int
 
 
 def between(found: PassiveSet) -> list[Point]:
-    """Return midpoints (K, B, M) [N/m, N s/m, kg] of neighbours along an axis with different
-    answers.
-    """
+    """Return midpoints (K, B, M) [N/m, N s/m, kg] of neighbours with different answers."""
     cube = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
     middles: list[Point] = []
     for low, high in map(_neighbours, range(3)):
@@ -364,9 +356,7 @@ def between(found: PassiveSet) -> list[Point]:
 
 
 def halved(found: PassiveSet) -> PassiveSet:
-    """Return the set on the finer grid: means between neighbours; nan (not passive) next to a
-    nan.
-    """
+    """Return the set on the finer grid: means between neighbours; nan next to a nan."""
     margin = found.margin
     for place in range(3):
         margin = np.apply_along_axis(_with_means, place, margin)

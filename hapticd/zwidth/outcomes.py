@@ -420,9 +420,7 @@ def run_all(
 
 
 def outcomes_of(batch: TrialBatch, store: TrialStore) -> list[Outcome]:
-    """Return outcomes of one batch; trials missing from the store run on threads of this
-    process.
-    """
+    """Return the outcomes of one batch; missing trials run on threads of this process."""
 
     def asking() -> Procedure[list[Outcome]]:
         return (yield [batch])

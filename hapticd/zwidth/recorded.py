@@ -160,9 +160,7 @@ def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
 
 
 def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> TrialRecord:
-    """Return `recorded` with the details from the run folder of a trial, or from the record
-    itself.
-    """
+    """Return `recorded` with the details from a trial's run folder, or from the record itself."""
     stated: Mapping[str, Any] = {}
     if "trial" in columns:
         stated = json.loads(np.asarray(columns["trial"]).item())
@@ -516,9 +514,7 @@ READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def _structures(content: dict[str, Any]) -> tuple[ReadColumn, dict[str, Any]] | None:
-    """Return columns and attributes of a MATLAB file that this package exported; None for another
-    one.
-    """
+    """Return columns and attributes of a MATLAB file of this package; None for another one."""
     groups = {
         name: values
         for name, values in content.items()

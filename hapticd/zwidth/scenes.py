@@ -140,9 +140,7 @@ class Display:
         )
 
     def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
-        """Return Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record
-        it.
-        """
+        """Return Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as recorded."""
         return recorded_impedances(
             self.model, points, frequency_hz, level, self.filters, self.perturbation
         )

@@ -233,9 +233,7 @@ def _box(params: SearchParams) -> Box:
 
 
 def _closed(params: SearchParams, box: Box) -> Box:
-    """Return `box`, widened until the predicted set ends in it, but for the faces K = 0 and B =
-    0.
-    """
+    """Return `box`, widened until the predicted set ends in it, except at K = 0 and B = 0."""
     for _ in range(WIDENINGS):
         low, high = (
             tuple(

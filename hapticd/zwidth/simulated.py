@@ -99,7 +99,7 @@ def spectra_of(
 
 
 def pooled(trials: list[Spectra]) -> Complexes:
-    """Return Z (F,) of several trials together: sums of their spectra. AnalysisError without
+    """Return Z (F,) of several trials together, from summed spectra. AnalysisError without
     trials.
     """
     if not trials:

@@ -48,9 +48,7 @@ def stepped_sine(
     frequency_hz: tuple[float, ...] = FREQUENCIES_HZ,
     force_n: float = FORCE_N,
 ) -> ReferenceSines:
-    """Measure Z of the environment of `trial` at whole frequencies, one short trial of `source`
-    each.
-    """
+    """Measure Z of the environment of `trial` at whole frequencies, a short trial each."""
     steps = Steps(tell, len(frequency_hz))
     count = len(frequency_hz)
     z = np.full(count, np.nan, np.complex128)

@@ -165,9 +165,7 @@ class Steps:
 
 
 def to_json(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
-    """Return `value` as dicts, lists, strings and finite numbers, without its own fields in
-    `skip`.
-    """
+    """Return `value` as dicts, lists, strings and finite numbers, without its fields in `skip`."""
     return to_jsonable_python(
         value, exclude=set(skip) or None, inf_nan_mode="null", fallback=_listed
     )
@@ -208,9 +206,7 @@ class TrialRecord:
 
 
 def too_short(seconds: float, ended: TrialEnd | None) -> AnalysisError:
-    """Return the error for a trial that `ended` early after `seconds` and has no spectrum to
-    judge.
-    """
+    """Return the error for a trial that `ended` after `seconds` and has no spectrum to judge."""
     what = f"ended after {seconds:.3g} s{f' ({ended})' if ended else ''}: too short for a verdict"
     if ended and ended.ran_away:
         return AnalysisError(

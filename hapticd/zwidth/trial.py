@@ -243,7 +243,7 @@ class TrialResult:
 
 
 def plan_trial(params: TrialParams) -> TrialPlan:
-    """Predict the trial. AnalysisError for a trial too short for a verdict; ConfigError as
+    """Predict the trial. AnalysisError if it is too short for a verdict; ConfigError as
     `compose`.
     """
     _possible(params)

@@ -111,9 +111,7 @@ class GapFiller:
 
 
 def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
-    """Return `recorded`, its samples those at `place` (n,), with the missing ones filled and
-    counted.
-    """
+    """Return `recorded`, its samples those at `place` (n,), missing ones filled and counted."""
     (force, velocity), came = GapFiller().filled(
         place, np.stack((recorded.force_n, recorded.velocity_m_per_s))
     )
@@ -153,9 +151,7 @@ def _lost(counts: Mapping[str, Any], name: str, words: str, remedy: str) -> Iter
 
 
 def limit_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield the ticks of a simulated trial with the amplifier at a limit, from `counts`
-    (`COUNTS`).
-    """
+    """Yield the ticks of a simulated trial with the amplifier at a limit, from `counts`."""
     if limited := counts.get("limited_ticks"):
         share = limited / counts["ticks"]
         void = share > SATURATED_SHARE
@@ -332,8 +328,6 @@ class TrialMonitor:
 
 
 def _own(trial: Spectra) -> float:
-    """Return the power of the velocity that the perturbation does not explain, over the explained
-    power.
-    """
+    """Return the unexplained power of the velocity over the explained power."""
     explained = float((trial.velocity * trial.coherence).sum())
     return float(trial.velocity.sum()) / explained - 1.0 if explained > 0.0 else inf

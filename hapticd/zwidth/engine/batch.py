@@ -94,9 +94,7 @@ class BatchResult:
         return np.where(self.diverged, self.samples / self.rate_hz, np.inf)
 
     def record(self, trial: int) -> tuple[Values, Values]:
-        """Return (torque, velocity) of one trial up to its end. ValueError if records were not
-        kept.
-        """
+        """Return (torque, velocity) of one trial up to its end. ValueError if not kept."""
         if self.torque_n is None or self.velocity_m_per_s is None:
             raise ValueError("only sums were kept; simulate with keep='records'")
         end = int(self.samples[trial])

@@ -134,9 +134,7 @@ def drawn(excitation: Excitation, samples: int, seed: int, quantum_n: float | No
 
 
 def played(record: Array, samples: int, scalar: type[np.floating[Any]]) -> Values:
-    """Return a shared record, or its period, as the kernel plays it from the first sample to the
-    last.
-    """
+    """Return a shared record, or its period, as the kernel plays it from start to end."""
     return np.resize(record.astype(scalar), samples)
 
 
@@ -287,9 +285,7 @@ class Heating:
         self._group.set({name: low[name] + part * (high[name] - low[name]) for name in low})
 
     def warm(self, seconds: float, samples: int) -> None:
-        """Advance by `seconds` in which the kernel summed the motor force squared over
-        `samples`.
-        """
+        """Advance by `seconds`, with the motor force squared summed over `samples`."""
         winding = self._winding
         heat = self._group.rows["HEAT"]
         resistance_ohm = np.array([self._ohm(float(celsius)) for celsius in self.temperature_c])

@@ -93,9 +93,7 @@ def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
 
 
 def _own_responses(model: Model, whole: Map) -> Array:
-    """Return the m/s (contacts,) that a newton on each contact gives to its own body over
-    `whole`.
-    """
+    """Return the m/s (contacts,) that a newton on each contact gives its own body over `whole`."""
     return np.array([whole.b[contact.velocity, contact.column] for contact in model.contacts])
 
 
@@ -155,9 +153,7 @@ def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
 
 
 def _drive_rows(limits: DriveLimits, column: int | None, whole: Map) -> dict[str, float]:
-    """Return the range of the motor force, and Y: the effect on the states of a newton taken from
-    it.
-    """
+    """Return the range of the motor force, and Y: the effect of a newton taken from it."""
     own = drive_response_s(limits, column, whole)
     can = reach(limits, whole.duration_s)
     return {

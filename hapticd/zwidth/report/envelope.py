@@ -129,9 +129,7 @@ def envelopes_figure(
     view: View = IMPEDANCE,
     width_mm: float | None = None,
 ) -> Figure:
-    """Draw edges of size, a strip of owners for each envelope, edges of phase. Call it within
-    `styled`.
-    """
+    """Draw edges of size, a strip of owners per envelope, edges of phase, within `styled`."""
     count = len(shown)
     figure, (size, *strips, phase) = axes(
         2 + count,
@@ -181,9 +179,7 @@ def edges(
     rank: int = 0,
     linear: bool = False,
 ) -> None:
-    """Draw upper and lower edge with their intervals, tinted between them, the first envelope on
-    top.
-    """
+    """Draw both edges with their intervals, tinted between them, the first envelope on top."""
     upper, lower = pair
     axis.fill_between(
         frequency_hz,

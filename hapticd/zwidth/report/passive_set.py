@@ -167,9 +167,7 @@ def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, coun
 
 
 def highest(found: PassiveSet, panel: int) -> Floats:
-    """Return the largest passive K [N/m] (nB,) of the grid at each damping; nan if none is
-    passive.
-    """
+    """Return the largest passive K [N/m] (nB,) of the grid at each damping; nan without one."""
     stiffness = found.axes[0]
     passive = found.passive[:, :, panel]
     return np.where(
