@@ -5,8 +5,8 @@ an estimate with an interval from them. A sample counts only if the board latche
 the range of its converters, while it grants torque. All samples belong to one level of damping. A
 block without information replaces an old one too, so the estimate ages.
 
-A shortfall is an interval whose upper end stays below 80 % of the commanded active damping for 3 s. It
-causes one warning, until the active damping is sufficient again. It causes a fault if the
+A shortfall is an interval whose upper end stays below 80 % of the commanded active damping for 3 s.
+It causes one warning, until the active damping is sufficient again. It causes a fault if the
 environment in force needs more of it.
 
 Records must be consecutive, or `forget` called between them.
