@@ -7,6 +7,7 @@
 #   make check              that and all other tests: what continuous integration runs; half an hour
 #   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/development/usb.md); with what was measured
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
+#   make structure          files, statements and shared names of the package, with their limits
 #   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
 #   make hands [ARGS="--hands 100"]  random passive hands against environments at the edge of what the guard calls safe; counts those that one shakes
 #   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
@@ -17,11 +18,11 @@
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it, and of docs/timing.md
-#   make pictures           take the pictures of README and docs anew
+#   make pictures           take the pictures of README and docs again
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make site               the documentation as static files for any web server, build/hapticd-site.tar.gz
 #   make deps               install the system packages that are missing
-#   make pins               write constraints.txt and requirements.lock anew: the newest of every library that pyproject.toml allows
+#   make pins               write constraints.txt and requirements.lock again: the newest of every library that pyproject.toml allows
 #   make test-lowest        what talks to a library, with the lowest versions that pyproject.toml declares; minutes
 #   make clean              remove what was made, the environment included
 #
@@ -31,7 +32,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check check-installed usb-kernel test-usb mutate attack hands soak firmware circuit pico bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench deps-pico pins lock test-lowest clean
+.PHONY: run lab practice test check check-installed usb-kernel test-usb mutate structure attack hands soak firmware circuit pico bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench deps-pico pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -95,6 +96,9 @@ test-usb: deps-check $(VENV)/check.stamp
 
 mutate: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/mutate.py $(ONLY)
+
+structure:
+	@"$(PYTHON)" tests/structure.py $(ARGS)
 
 firmware: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/million_frames.py $(FIRMWARE)

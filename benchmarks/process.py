@@ -48,9 +48,9 @@ def measure() -> Iterator[Figure]:
         private_mb = memory_kb(process.pid, PRIVATE) / 1024
         threads = len(os.listdir(f"/proc/{process.pid}/task"))
         refused = [
-            f"{name} {text}"
-            for name, text in gateway.report().get("realtime", {}).items()
-            if text.startswith("refused")
+            f"{name} {grant['text']}"
+            for name, grant in gateway.report().get("realtime", {}).items()
+            if not grant["granted"]
         ]
     over = f"over {ticks} ticks"
     yield compared(

@@ -31,17 +31,17 @@ CHANNELS = {  # fields of a tick, and their units
     "event_code": "",  # of the board's event pins, in the tick of its change; otherwise -1
 }
 CLOCKS_AGREE_S = 0.01
-app = typer.Typer(help="Hand telemetry to other tools.", no_args_is_help=True)
+app = typer.Typer(help="Pass telemetry on to other tools.", no_args_is_help=True)
 
 
 @terminal.verb(app, "lsl")
 def lsl(
     instance: terminal.Instance = terminal.INSTANCE,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", help="End after S recorded seconds.")
+        float | None, typer.Option("--seconds", metavar="S", help="Stop after S recorded seconds.")
     ] = None,
 ) -> None:
-    """Offer every tick as a stream of the Lab Streaming Layer. Ctrl-C ends it.
+    """Publish every tick as a stream of the Lab Streaming Layer, until Ctrl-C.
 
     Channels: position, velocity, force, active damping, K, B, M, state, revision, and the
     code of an event at the board's pins.

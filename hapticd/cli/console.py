@@ -21,7 +21,11 @@ def console(
     port: Annotated[
         int | None,
         typer.Option(
-            "--port", metavar="N", min=1, max=65535, help="Else 9873, or any free one when taken."
+            "--port",
+            metavar="N",
+            min=1,
+            max=65535,
+            help="Port (default: 9873, or a free one if it is in use).",
         ),
     ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
@@ -29,9 +33,9 @@ def console(
     ready: Annotated[int | None, typer.Option("--ready", hidden=True)] = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Serve the operators' page on this computer, until Ctrl-C. `hapticd run` starts one by itself.
+    """Serve the operators' page on this computer, until Ctrl-C. `hapticd run` serves one too.
 
-    The daemon need not run yet. Pages are served to browsers of this computer alone.
+    The daemon need not be running. Only browsers on this computer can open the page.
     """
     die_with_parent(parent)
 

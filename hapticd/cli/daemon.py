@@ -51,10 +51,12 @@ def run(
     instance: terminal.Instance = terminal.INSTANCE,
     rate_hz: Annotated[
         float | None,
-        typer.Option("--rate-hz", metavar="HZ", help="Servo rate in place of the file's."),
+        typer.Option(
+            "--rate-hz", metavar="HZ", help="Servo rate (default: from the configuration)."
+        ),
     ] = None,
     console: Annotated[
-        bool, typer.Option("--console/--no-console", help="With the operators' page.")
+        bool, typer.Option("--console/--no-console", help="Serve the operators' page.")
     ] = True,
     as_json: terminal.JsonLines = False,
 ) -> None:
@@ -103,11 +105,11 @@ def run(
 
 
 POLICIES = {
-    "off": "nobody judges what you ask for",
-    "warn": "what is not passive is done, with a warning",
-    "clamp": "what is not passive is done as far as it is",
-    "refuse": "what is not passive is refused",
-    "follow": "what is not passive is refused, and the environment follows the damping",
+    "off": "no change is judged",
+    "warn": "a change that is not passive is applied, with a warning",
+    "clamp": "a change that is not passive is applied as far as it is safe",
+    "refuse": "a change that is not passive is refused",
+    "follow": "a change that is not passive is refused; the environment follows the active damping",
 }
 
 
@@ -238,7 +240,7 @@ def compensation_lines(known: Compensation | None) -> list[str]:
     compensated = f"{known.compensated_ohm:.4g} ohm compensated"
     left_ohm = known.residual_ohm
     if left_ohm is None:
-        return [f"{compensated}; without a sensor what is left is not known"]
+        return [f"{compensated}; without a sensor the rest is unknown"]
     side = "too little" if left_ohm >= 0.0 else "TOO MUCH"
     here = "unknown" if known.loop_gain is None else f"{known.loop_gain:+.3g}"
     return [
@@ -313,8 +315,8 @@ def _rendered(found: Status) -> str:
 def get_parameters(
     instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
 ) -> None:
-    """Show the parameters that were asked for (ramps at their ends); with --json also
-    what is in force at this tick.
+    """Show the requested parameters (the ends of ramps); with --json also the values in force at
+    this tick.
     """
     with connect(instance) as client:
         found = client.get()
@@ -336,22 +338,25 @@ def set_parameters(
     ] = None,
     ramp_s: Annotated[
         float | None,
-        typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
+        typer.Option("--ramp-s", metavar="S", help="Ramp time (default: from the configuration)."),
     ] = None,
     at_tick: Annotated[
         int | None,
         typer.Option(
-            "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
+            "--at-tick",
+            metavar="N",
+            help="Servo tick at which it takes effect (default: the next one).",
         ),
     ] = None,
     if_rev: Annotated[
-        int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
+        int | None,
+        typer.Option("--if-rev", metavar="N", help="Apply only if the revision is still N."),
     ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Change what is rendered, e.g. `hapticd set K=100 B=1 M=0.010 --ramp-s 0.1`. All of it or
-    nothing.
+    """Change the rendered environment, e.g. `hapticd set K=100 B=1 M=0.010 --ramp-s 0.1`. Either
+    all values are applied or none.
 
     Also filters.velocity_hz, filters.velocity_zeta, filters.acceleration_hz,
     filters.acceleration_zeta, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m,
@@ -365,15 +370,15 @@ def set_parameters(
 
 def damping(
     value: Annotated[
-        str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
+        str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 switches it off.")
     ],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Switch the active damping on or off, set its level (N s/m) and switch it on, or have the
-    guard choose the least that will do; live, in every state.
+    """Switch active damping on or off, set its level (N s/m) and switch it on, or let the guard
+    choose the least level that is enough. Works in every state.
 
-    `on` gives the level that was asked for last, or that the guard chose; at first the configured.
+    `on` restores the last level, requested or chosen by the guard; at first the configured one.
     """
     word = value.lower()
     expected = "on, off, auto or a level in N s/m"
@@ -382,31 +387,31 @@ def damping(
 
 
 def enable(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Force on, with a gain ramp; refused while stopped or faulted."""
+    """Switch force on, with a gain ramp. Refused while stopped or faulted."""
     change(instance, as_json, lambda client: client.enable())
 
 
 def disable(
     instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False
 ) -> None:
-    """Force off."""
+    """Switch force off."""
     change(instance, as_json, lambda client: client.disable())
 
 
 def stop(instance: terminal.OneOfAll = None, as_json: terminal.Json = False) -> None:
-    """Stop every daemon of yours and the service: force to 0 at once, latched until
-    `hapticd reset`. Anyone may, at any time; never refused.
+    """Stop all of your daemons and the service: force goes to 0 at once and stays there until
+    `hapticd reset`. Any client can stop at any time; a stop is never refused.
     """
     raise typer.Exit(fast_stop.main(instance, as_json))
 
 
 def reset(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Leave a stop or fault for disabled, once its cause is gone. Never enables."""
+    """Clear a stop or a fault whose cause is gone. The state becomes disabled, never enabled."""
     change(instance, as_json, lambda client: client.reset())
 
 
 def zero(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Make the present position x = 0; only while disabled."""
+    """Set the current position as x = 0. Only while disabled."""
     change(instance, as_json, lambda client: client.zero())
 
 
@@ -414,7 +419,7 @@ HOMING_POLL_S = 0.05
 
 
 def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Find the origin of position as the device file says, and wait for it; only while disabled."""
+    """Find the origin of position by the method of the device file. Only while disabled."""
     with connect(instance) as client:
         receipt = client.home()
         if not as_json:
@@ -433,8 +438,8 @@ DUMP_POLL_S = 0.05
 
 
 def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Write the last minute at every tick, with raw frames, to a file; as it is done at
-    every fault. See `hapticd replay`.
+    """Write the last minute of all ticks, with raw frames, to a file, as at every fault. See
+    `hapticd replay`.
     """
     with connect(instance) as client:
         found = client.dump()
@@ -451,11 +456,11 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
 
 
 def mark(
-    text: Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")],
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="Annotation, at most 96 characters.")],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Note words with the tick at which they came: an event, which recordings keep."""
+    """Add an annotation with the current tick: an event, which recordings keep."""
     with connect(instance) as client:
         found = client.mark(text)
     terminal.show(found, [f"tick {found['tick']}: {text}"], as_json)
@@ -463,7 +468,7 @@ def mark(
 
 perturb_app = typer.Typer(
     no_args_is_help=True,
-    help="Load, start and stop a perturbation: a force waveform at 4 kHz over what is rendered.",
+    help="Load, start and stop a perturbation: a force waveform at 4 kHz that is added.",
 )
 
 
@@ -483,7 +488,7 @@ def load_waveform(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Load a waveform; it does not start by itself."""
+    """Load a waveform, without starting it."""
     inputs.regular(file, inputs.WAVEFORM_BYTES)
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below

@@ -19,7 +19,7 @@ Policy = Annotated[
     params.Policy | None,
     typer.Argument(
         case_sensitive=False,
-        help="What is done with an environment that is not known to be passive.",
+        help="Policy for settings that are not known to be passive.",
     ),
 ]
 
@@ -33,27 +33,28 @@ def guard(
     policy: Policy = None,
     basis: Annotated[
         params.BasisName | None,
-        typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
+        typer.Option("--basis", case_sensitive=False, help="Criterion of the verdict."),
     ] = None,
     margin: Annotated[
         float | None,
-        typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
+        typer.Option("--margin", metavar="NS_PER_M", help="Required passivity margin, N s/m."),
     ] = None,
     mode: Annotated[
         params.DampingMode | None,
         typer.Option(
             "--mode",
             case_sensitive=False,
-            help="Active damping off, at its level, or the least that will do.",
+            help="Active damping: off, on at its level, or auto (the least that is enough).",
         ),
     ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Show what is known of the environment in force, or change what the guard does.
+    """Show the verdict on the environment in force, or change the guard's policy.
 
-    off: judge nothing. warn: say so and do it. clamp: go as far as is safe. refuse. follow: for
-    less damping first make the environment smaller. Stops are never held up.
+    off: judge nothing. warn: apply the change and warn. clamp: go as far as is safe. refuse:
+    apply nothing unsafe. follow: before active damping falls, reduce the environment. Stops are
+    never delayed.
     """
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)

@@ -13,18 +13,16 @@ with deferred_imports():
     from hapticd.protocol import keys
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
-Folder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", help="Folder named by gateway.curve_keys.")
-]
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Key folder (gateway.curve_keys).")]
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="Name of the machine or person that may listen.")
+    str, typer.Argument(metavar="NAME", help="Name of the listening machine or person.")
 ]
 
 
 @terminal.verb(app, "server")
 def server(folder: Folder, as_json: terminal.Json = False) -> None:
-    """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for
-    the gateway alone.
+    """Create the server's key pair in a new FOLDER: server.key to distribute, and
+    server.key_secret for the gateway alone.
     """
     _show(keys.make_keys(folder), folder, as_json)
     if not as_json:
@@ -43,13 +41,13 @@ def client(
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Where the client's secret is written; else the current folder.",
+            help="Folder for the client's secret key (default: the current folder).",
         ),
     ] = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to
-    be brought to the listener.
+    """Create a listener's key pair: NAME.key in FOLDER admits it, and NAME.key_secret goes to the
+    listener.
     """
     files = keys.make_client(folder, name, out or Path())
     _show(files, folder, as_json)
@@ -63,20 +61,23 @@ def client(
 def try_(
     endpoint: Annotated[
         str,
-        typer.Argument(metavar="ENDPOINT", help="As `hapticd status` names it: tcp://RIG:9872."),
+        typer.Argument(
+            metavar="ENDPOINT",
+            help="Telemetry endpoint, as `hapticd status` shows it: tcp://RIG:9872.",
+        ),
     ],
     folder: Annotated[
         Path | None,
         typer.Option(
             "--keys",
             metavar="FOLDER",
-            help="With server.key and NAME.key_secret; else without keys.",
+            help="Folder with server.key and NAME.key_secret (default: no keys).",
         ),
     ] = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Listen to ENDPOINT for a moment with the keys in FOLDER, and say what comes, or why
-    nothing does.
+    """Listen to ENDPOINT for a moment with the keys in FOLDER. Show what arrives, or why nothing
+    does.
     """
     with listener.Listener(endpoint, folder) as line:
         state = next(line.listen("state"))

@@ -16,7 +16,7 @@ with deferred_imports():
 
 lease_app = typer.Typer(
     no_args_is_help=True,
-    help="Who alone may change environment, damping or perturbation; measuring is all of them.",
+    help="Exclusive control of environment, active damping or perturbation: show, take, release.",
 )
 What = Annotated[
     params.Leased,
@@ -25,7 +25,9 @@ What = Annotated[
 AtEnd = Annotated[
     params.AtEnd | None,
     typer.Option(
-        "--at-end", metavar="WHAT", help="If we die: hold, zero (K, B, M to 0) or disable."
+        "--at-end",
+        metavar="WHAT",
+        help="If this process ends unexpectedly: hold, zero (K, B, M to 0) or disable.",
     ),
 ]
 SLICE_S = 1.0
@@ -33,11 +35,11 @@ SLICE_S = 1.0
 
 @terminal.verb(lease_app, "show")
 def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Who holds what, and for how long."""
+    """Show the leases, their holders and the time left."""
     with connect(instance) as client:
         leases = client.status().leases
     held = {what: asdict(one) for what, one in leases.items()}
-    lines = lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]
+    lines = lease_lines(leases) or ["no client holds a lease: any client may change everything"]
     terminal.show({"leases": held}, lines, as_json)
 
 
@@ -45,11 +47,13 @@ def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
 def take(
     what: What,
     take_over: Annotated[
-        bool, typer.Option("--take-over", help="Also if another holds it.")
+        bool, typer.Option("--take-over", help="Take the lease even if another client holds it.")
     ] = False,
     ttl_s: Annotated[
         float | None,
-        typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long."),
+        typer.Option(
+            "--ttl-s", metavar="S", help="Release the lease after S seconds without contact."
+        ),
     ] = None,
     at_end: AtEnd = None,
     instance: terminal.Instance = terminal.INSTANCE,
@@ -74,15 +78,15 @@ def release(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """End a lease, whoever holds it: it is taken over, and left to anyone. Nothing moves."""
+    """End a lease of any holder: take it over and release it. Nothing moves."""
     with connect(instance) as client:
         before = client.status().leases
         lease = client.lease(what, take_over=True)
         lease.take()
         lease.release()
     held = {name: asdict(one) for name, one in before.items()}
-    lines = [f"before: {line}" for line in lease_lines(before) or ["nobody held a lease"]]
-    lines.append(f"{what} is anyone's to change")
+    lines = [f"before: {line}" for line in lease_lines(before) or ["no client held a lease"]]
+    lines.append(f"{what} may be changed by any client")
     terminal.show({"what": what, "before": held}, lines, as_json)
 
 

@@ -122,14 +122,14 @@ class View:
 def monitor(
     instance: terminal.Instance = terminal.INSTANCE,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
+        float | None, typer.Option("--seconds", metavar="S", help="Stop after S seconds.")
     ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Watch live in a terminal: state, force, position, verdict and faults. Space or Esc stops the
-    daemon, q or Ctrl-C ends only this screen. Charts and controls are on the operators' page.
+    daemon; q or Ctrl-C only closes this screen. The operators' page has charts and controls.
 
-    With --json, or when stdout is no terminal: one line every 0.1 s.
+    With --json, or if stdout is not a terminal: one line every 0.1 s.
     """
     if as_json or not sys.stdout.isatty():
 
@@ -261,14 +261,14 @@ def _line(view: View) -> str:
 def events(
     instance: terminal.Instance = terminal.INSTANCE,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
+        float | None, typer.Option("--seconds", metavar="S", help="Stop after S seconds.")
     ] = None,
     parent: terminal.Parent = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.
+    """Print events, one line each: states, faults with remedy, leases, warnings, flight files.
 
-    `hapticd run` does the same in its own terminal. Ctrl-C ends it.
+    Stops at Ctrl-C. `hapticd run` prints the same lines in its own terminal.
     """
     die_with_parent(parent)
     now_ns = clock.MonotonicClock().now_ns

@@ -45,24 +45,26 @@ def record(
         typer.Argument(
             metavar="FILE",
             callback=_recording_name,
-            help="NAME.h5; while it grows it is called NAME.part.h5.",
+            help="NAME.h5; named NAME.part.h5 until it is complete.",
         ),
     ],
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
+        typer.Option(
+            "--seconds", metavar="S", help="Recorded time (default: until Ctrl-C).", min=0.001
+        ),
     ] = None,
     note: Annotated[
-        str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")
+        str, typer.Option("--note", metavar="TEXT", help="A note that is kept in the file.")
     ] = "",
     instance: terminal.Instance = terminal.INSTANCE,
     parent: terminal.Parent = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Record the running daemon: every tick with raw frames, the probe, events, and what a replay
-    needs.
+    """Record the running daemon: every tick with raw frames, the probe, events, and everything that
+    a replay needs.
 
-    Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
+    Ctrl-C completes the file. A killed recorder loses at most 100 ms: see `hapticd rec recover`.
     """
     die_with_parent(parent)
     asked: list[bool] = []
@@ -97,7 +99,7 @@ def _progress_words(progress: "recorder.RecordingProgress") -> str:
     )
 
 
-rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
+rec_app = typer.Typer(no_args_is_help=True, help="Recover, inspect and convert recordings.")
 Source = Annotated[
     Path,
     typer.Argument(
@@ -107,7 +109,9 @@ Source = Annotated[
 Target = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[OUT]", help="Else beside it, with another ending.", show_default=False
+        metavar="[OUT]",
+        help="Output file (default: next to FILE, with another suffix).",
+        show_default=False,
     ),
 ]
 ATTRIBUTES_SHOWN = (
@@ -119,14 +123,14 @@ ATTRIBUTES_SHOWN = (
 
 @terminal.verb(rec_app, "recover")
 def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
-    """Make a finished file of one whose recorder died, or of a flight recording."""
+    """Recover an unfinished recording, or convert a flight recording."""
     summary = pack.pack(file, out or _beside(file, ".h5"), recovered=True)
     terminal.show(summary, [finished_line("recovered", summary)], as_json)
 
 
 @terminal.verb(rec_app, "info")
 def info(file: Source, as_json: terminal.Json = False) -> None:
-    """What is in a recording and where it comes from."""
+    """Show the contents of a recording and its origin."""
     with files.open_recording(file) as recording:
         found = pack.summary(recording)
         attributes = {name: _plain(value) for name, value in recording.attributes.items()}
@@ -180,13 +184,13 @@ def _plain(value: Any) -> Any:
 def export(
     kind: Annotated[
         Literal["mat", "csv"],
-        typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
+        typer.Argument(metavar="mat|csv", help="Format: MATLAB 5 or comma-separated values."),
     ],
     file: Source,
     out: Target = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Convert: `hapticd rec export mat FILE`."""
+    """Convert a recording: `hapticd rec export mat FILE`."""
     target = out or _beside(file, f".{kind}")
     with files.open_recording(file) as recording:
         mat = kind == "mat"
@@ -213,23 +217,25 @@ def replay(
     held: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
+            "--set",
+            metavar="NAME=VALUE",
+            help="Hold a setting at a value, as in `hapticd set`; may be repeated.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
-            "--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."
+            "--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf (always with --set)."
         ),
     ] = None,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Replay a recorded motion: bit by bit as it was, or with settings held at other values;
-    then draw both forces.
+    """Replay a recorded motion, bit by bit or with settings held at other values, and draw both
+    forces.
 
-    The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
-    replay differs by a bit.
+    The motion stays as recorded, so the result is the force that the law would have commanded.
+    Exit 1 if a plain replay differs by one bit.
     """
     words = held or []
     terminal.need_figures(bool(words or plot))

@@ -31,7 +31,7 @@ QUESTIONS = (
 
 sim_app = typer.Typer(
     no_args_is_help=True,
-    help="Simulate scenes: run, explain, find the effects they need and the damping they bear.",
+    help="Simulate scenes: run, explain, find necessary effects and the highest active damping.",
 )
 studies_app = typer.Typer(no_args_is_help=True, help="Compare many simulated displays.")
 REMEDIES_NOTE = (
@@ -48,7 +48,12 @@ def sim_run(
     figure_width: terminal.FigureWidth = None,
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
+        typer.Option(
+            "--seconds",
+            metavar="S",
+            min=0.001,
+            help="Length of the simulation (default: the scene's).",
+        ),
     ] = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
@@ -97,8 +102,8 @@ def _trial_json(trial: "scene_studies.SceneTrial") -> dict[str, Any]:
 
 @terminal.verb(sim_app, "explain")
 def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say what a scene simulates: states, nonlinearities, time constants, step, why
-    each is there, and its measured cost.
+    """Explain what a scene simulates: states, nonlinearities, time constants, step, the
+    reason for each, and its measured cost.
     """
     loaded = scenes.load_scene(scene)
     levels = sorted({step.level_ns_per_m for step in loaded.active_damping})
@@ -125,7 +130,7 @@ def sim_effects(
     tolerance: Annotated[
         str,
         typer.Option(
-            "--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."
+            "--tolerance", metavar="SHARE", help="Largest change that does not matter: 2% or 0.02."
         ),
     ] = "2%",
     seconds: Annotated[
@@ -136,8 +141,8 @@ def sim_effects(
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Leave effects out one at a time, see what the answer does, and propose the
-    cheapest set that is enough.
+    """Leave effects out one at a time, compare the answers, and propose the cheapest
+    set that is enough.
     """
     terminal.need_engine(plot)
     loaded = scenes.load_scene(scene)
@@ -174,7 +179,7 @@ def share(text: str) -> float:
 
 @terminal.verb(sim_app, "ceiling")
 def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> None:
-    """Say the largest stable active damping: of the device alone, with the scene's
+    """Compute the largest stable active damping: of the device alone, with the scene's
     environment, and hot or cold.
     """
     loaded = scenes.load_scene(scene)
@@ -189,15 +194,15 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 def accuracy(
     scene: terminal.SceneName,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
+        bool, typer.Option("--quick", help="Coarse: shorter trials, fewer settings.")
     ] = False,
     plot: terminal.Plot = True,
     figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Measure error against time: ways to simulate, sub-steps, precision, length, window, and each
-    effect left out.
+    """Measure error against time for methods, sub-steps, precision, length and window, and with
+    each effect left out.
 
     The first run of a scene also compiles its kernels, which are kept.
     """
@@ -234,26 +239,29 @@ def remedies(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SCENE...]", help="Scenes or devices (default: five shipped ones)."
+            metavar="[SCENE...]", help="Scenes or devices (default: the five shipped ones)."
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Theory alone, on coarser grids: without trials.")
+        bool, typer.Option("--quick", help="Only theory, on coarser grids, without trials.")
     ] = False,
     seconds: common.Seconds = 90.0,
     seeds: Annotated[
         int,
         typer.Option(
-            "--seeds", metavar="N", min=0, help="Noises by which each K is searched, or 0."
+            "--seeds",
+            metavar="N",
+            min=0,
+            help="Noise realisations for each search of K; 0: no trials.",
         ),
     ] = 4,
     out: common.Out = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Compare what lets a display render more: a faster loop, a shorter delay, another velocity
+    """Compare what makes a display render more: a faster loop, a shorter delay, another velocity
     filter, active damping, and pairs of them.
 
-    Ctrl-C is safe: the same command with the same --out goes on with the trials where it ended.
+    Ctrl-C is safe: the same command with the same --out continues with the remaining trials.
     """
     terminal.need_engine()
     scenes_asked = tuple(common.scene_of(name) for name in names or remedy_studies.SCENES)

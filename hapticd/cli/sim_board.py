@@ -24,19 +24,19 @@ def sim_board(
         typer.Option(
             "--usbip",
             metavar="[HOST:]PORT",
-            help="Where machines attach it; 3240 is USB/IP's own port, 0 any free one.",
+            help="Address for USB/IP clients; 3240 is the standard port, 0 any free one.",
         ),
     ],
     config: terminal.ConfigFile = None,
     transfer: Annotated[
-        Literal["bulk", "interrupt"], typer.Option("--transfer", help="How frames travel.")
+        Literal["bulk", "interrupt"], typer.Option("--transfer", help="Transport of the frames.")
     ] = "bulk",
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Offer the simulated board to the USB bus of any Linux, by USB/IP. Ctrl-C ends it.
+    """Offer the simulated board to the USB bus of any Linux machine by USB/IP, until Ctrl-C.
 
-    Whoever attaches it has it: USB/IP knows no rights, so it stays on this machine unless HOST is
-    named.
+    USB/IP has no authentication: any client that reaches the port can attach the board. It is
+    offered to this machine alone unless you give a HOST.
     """
     host, port = address(where)
     settings = load.load(config)

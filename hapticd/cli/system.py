@@ -50,9 +50,8 @@ ConfigArgument = Annotated[
 def check_config(
     file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
 ) -> None:
-    """Say what is wrong, with file, line, value and limit; exit 78 if anything is, as the start of
-    the daemon would. Calibrations that cannot be relied on are named, and leave the configuration
-    good.
+    """Validate the configuration; each error has file, line, value and limit. Exit 78 on errors, as
+    the daemon does at its start. Unreliable calibrations are listed, but are not errors.
     """
     rules = load.MoreRules(_simulation_and_network_rules, _template_rules)
     settings = load.load(file or config, also=rules)
@@ -92,7 +91,7 @@ def _template_rules(device: "device_files.DeviceFile") -> Iterator["load.Mistake
             ("serial",),
             repr(TEMPLATE_SERIAL),
             "is the template's; copy it to devices/NAME.toml, and write your board's serial number,"
-            " as `lsusb -v` says it",
+            " as `lsusb -v` shows it",
         )
 
 
@@ -101,11 +100,11 @@ def show_config(
     file: ConfigArgument = None,
     config: terminal.ConfigFile = None,
     origin: Annotated[
-        bool, typer.Option("--origin", help="Also where each value comes from.")
+        bool, typer.Option("--origin", help="Show where each value comes from.")
     ] = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """Every value in force with its unit; the device file under `device`."""
+    """Show every value in force with its unit; the device file is under `device`."""
     settings = load.load(file or config)
     plain = settings.plain()
     if as_json and not origin:
@@ -142,7 +141,7 @@ def config_schema(
         bool, typer.Option("--scene", help="Print the schema of scene files instead.")
     ] = False,
 ) -> None:
-    """The JSON schema of hapticd.toml, for editors and checkers."""
+    """Print the JSON schema of hapticd.toml, for editors and validators."""
     kind = "device" if device else "scene" if of_scene else "config"
     terminal.data(scene.schema_text(kind).rstrip("\n"))
 
@@ -171,7 +170,7 @@ def doctor(
     seconds: Annotated[
         float,
         typer.Option(
-            "--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none."
+            "--seconds", metavar="S", min=0, help="Duration of the wake-up measurement; 0: none."
         ),
     ] = 5.0,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")] = False,
@@ -180,7 +179,7 @@ def doctor(
         typer.Option(
             "--report",
             metavar="FILE",
-            help="Also write all of it, versions, machine and status to a new JSON file.",
+            help="Also write the results, versions, machine and status to a new JSON file.",
         ),
     ] = None,
     as_json: terminal.Json = False,
@@ -236,7 +235,7 @@ def _timing(status: dict[str, Any] | None) -> "list[checks.CheckResult]":
     delay = checks.CheckResult("force delay", probes.OK, words)
     if known.delay_us > US_PER_S / known.rate_hz:
         why = "a force that comes more than a period late makes stiff walls and damping active"
-        fix = "look what else is on the board's bus, or at its sample phase"
+        fix = "check the other devices on the board's bus, and its sample phase"
         delay = checks.CheckResult("force delay", probes.WARN, words, why, fix)
     costs = timing_words(known.guard.timing if known.guard else None)
     stiffness = [checks.CheckResult("stiffness", probes.OK, costs)] if costs else []
@@ -268,7 +267,9 @@ def install_system(
     root: Annotated[
         Path | None,
         typer.Option(
-            "--root", metavar="DIR", help="Write them below DIR, / of this machine; else show them."
+            "--root",
+            metavar="DIR",
+            help="Write the files below DIR (/ for this machine); default: show them.",
         ),
     ] = None,
     config: terminal.ConfigFile = None,

@@ -225,7 +225,7 @@ Instance = Annotated[
         envvar=INSTANCE_VARIABLE,
         show_envvar=False,
         callback=_chosen,
-        help=f"Which daemon; may also stand before the verb. Else ${INSTANCE_VARIABLE}.",
+        help=f"Name of the daemon (default: ${INSTANCE_VARIABLE}); may also precede the verb.",
     ),
 ]
 InstanceBefore = Annotated[
@@ -234,7 +234,7 @@ InstanceBefore = Annotated[
         "--instance",
         metavar="NAME",
         callback=_before,
-        help=f"Which daemon; may also stand after the verb. Else ${INSTANCE_VARIABLE}.",
+        help=f"Name of the daemon (default: ${INSTANCE_VARIABLE}); may also follow the verb.",
     ),
 ]
 OneOfAll = Annotated[
@@ -243,8 +243,8 @@ OneOfAll = Annotated[
         "--instance",
         metavar="NAME",
         callback=_chosen,
-        help=f"This one alone; else all of yours and the service, whatever ${INSTANCE_VARIABLE}"
-        " says.",
+        help="Stop only this daemon (default: all of yours and the service;"
+        f" ${INSTANCE_VARIABLE} is ignored).",
     ),
 ]
 ConfigFile = Annotated[
@@ -252,7 +252,7 @@ ConfigFile = Annotated[
     typer.Option(
         "--config",
         metavar="FILE",
-        help="Configuration; else $HAPTICD_CONFIG, ~/.config, /etc, the shipped one.",
+        help="Configuration (default: $HAPTICD_CONFIG, ~/.config, /etc, then the shipped one).",
     ),
 ]
 INSTANCE = DEFAULT_INSTANCE
@@ -297,10 +297,10 @@ def progress(quiet: bool = False) -> "Iterator[store.Progress]":
 
 
 SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A shipped scene, or a path to a .toml file.")
+    str, typer.Argument(metavar="SCENE", help="Shipped scene, or path of a .toml file.")
 ]
-Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure, as PNG, SVG and PDF.")]
-Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where figures go.")]
+Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure as PNG, SVG and PDF.")]
+Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder for figures.")]
 HERE = Path()
 
 
@@ -336,7 +336,7 @@ FigureWidth = Annotated[
         "--figure-width",
         metavar="column|text|MM",
         parser=figure_width_mm,
-        help="Figures for print: a column (88.9 mm), a page (181 mm) or so many mm wide.",
+        help="Width of printed figures: column (88.9 mm), page (181 mm), or a number of mm.",
     ),
 ]
 

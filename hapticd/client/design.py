@@ -74,7 +74,7 @@ def pairs(a: Condition, b: Condition, count: int, seed: int) -> list[tuple[Condi
     """
     if count % 2:
         raise ConfigError(
-            f"{count} pairs cannot begin with A and with B equally often; take an even"
+            f"{count} pairs cannot start with A and with B equally often; choose an even"
         )
     first = np.repeat([True, False], count // 2)
     np.random.default_rng(seed).shuffle(first)
@@ -90,7 +90,7 @@ class Table:
 
     def __init__(self, path: Path, answers: Sequence[str] = ()) -> None:
         if path.exists():
-            raise ConfigError(f"{path} exists; a session has a file of its own, name another")
+            raise ConfigError(f"{path} already exists; use a new file for each session")
         self._path = path
         self._answers = tuple(answers)
         self._row: dict[str, Any] = {}

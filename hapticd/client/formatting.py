@@ -55,12 +55,12 @@ def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
     if ranges:
         lines.append(f"allowed, each with the others as asked: {', '.join(ranges)}")
     elif allowed:
-        lines.append("no K, B or M alone would do, with the others as asked")
+        lines.append("lowering K, B or M alone is not enough")
     least = verdict.least_active_damping_ns_per_m
     if least is not None:
-        lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
+        lines.append(f"least level of active damping tried that is enough: {least:.4g} N s/m")
     elif allowed and verdict.safe is False:
-        lines.append("no active damping of this device would do")
+        lines.append("no active damping of this device is enough")
     return lines
 
 
@@ -85,7 +85,7 @@ def guard_line(found: GuardStatus) -> str:
     """Return policy, basis, mode and worker in one line, as `status` shows them."""
     margin = found.margin_ns_per_m
     wanted = f", at least {margin:g} N s/m to spare" if margin else ""
-    policy = "off: somebody measures" if found.measuring else found.policy
+    policy = "off: a measurement is running" if found.measuring else found.policy
     worker = "" if found.worker == "up" else f"; {found.trouble}"
     delay = found.delay_periods
     known = "the delay is not known yet" if delay is None else f"delay {delay:g} periods"
@@ -136,7 +136,7 @@ def board_words(report: dict[str, Any]) -> str:
 def receipt_text(receipt: Receipt) -> str:
     """Return the result of a change, and the values that will then be in force."""
     if receipt.result == "pressed":
-        return "stop pressed; nobody confirmed it, see `hapticd status`"
+        return "stop requested, but not confirmed; see `hapticd status`"
     stages = receipt.guard.stages if receipt.guard else 0
     result = f"stage 1 of {stages}" if receipt.result == "staged" and stages else receipt.result
     when = f"{result} at tick {receipt.first_tick}"

@@ -34,7 +34,7 @@ KEPT_ALIVE = ("environment", "active_damping")
 
 def lost_error(text: str) -> CommandError:
     """Return the error for a lost lease; `text` gives the cause."""
-    return CommandError("leased", f"{text}; what was done since then was not excluded")
+    return CommandError("leased", f"{text}; changes since then were not excluded")
 
 
 def renews_again(error: HapticdError) -> bool:

@@ -38,7 +38,7 @@ class RemoteSubscription(Subscription):
     def __init__(self, endpoint: str, keys: Path | None) -> None:
         if not endpoint.startswith("tcp://"):
             raise ConfigError(
-                f"{endpoint!r} is no endpoint; `hapticd status` names tcp://HOST:PORT"
+                f"{endpoint!r} is not an endpoint; `hapticd status` shows tcp://HOST:PORT"
             )
         self._place = endpoint
         self._keys = keys
@@ -92,7 +92,7 @@ def why_quiet(seen: set[int], place: str, name: str, timeout_s: float) -> Haptic
     if zmq.EVENT_HANDSHAKE_SUCCEEDED in seen:
         return DaemonDown(f"{place}: connected, and nothing came for {timeout_s} s")
     if zmq.EVENT_CONNECTED not in seen:
-        return DaemonDown(f"{place}: nobody listens there; see `hapticd status` at the rig")
+        return DaemonDown(f"{place}: no gateway listens there; see `hapticd status` on the rig")
     if zmq.EVENT_HANDSHAKE_FAILED_AUTH in seen:
         remedy = f"make it known there: `hapticd keys client FOLDER {name}`"
         return CommandError("refused", f"{place} does not know the key of {name}; {remedy}")

@@ -52,7 +52,7 @@ MOST_AHEAD = 8  # scheduled at once: half of a servo's capacity
 OVERDUE_S = 10.0  # after its tick, until the result of a step counts as unknown
 UNTOLD = "sent, and what became of it is not known; see `hapticd status`"
 WHY = {  # reasons why a scheduled step did not act
-    "cancelled": "a stop, a fault or somebody else's lease came first",
+    "cancelled": "a stop, a fault or the lease of another client came first",
     "superseded": "a later change for the same tick took its place",
 }
 
@@ -253,7 +253,7 @@ class _Run:
         self._hear()
         found = self._status.state
         if not self._status.servo_alive or self._status.epoch != before.epoch:
-            raise _EndedError(DaemonDown("the servo ended, or was started anew"), number)
+            raise _EndedError(DaemonDown("the servo ended, or was restarted"), number)
         if found not in {self._state, *led_to}:
             why = self._status.cause or "see `hapticd status`"
             reason = f"the servo is {found!r} and not {self._state!r}: {why}"
@@ -350,7 +350,7 @@ def _unlike(one: Step, limits: Any) -> str:
     from hapticd.protocol.schemas import parse
 
     if one.cmd not in STEPS:
-        return f"{one.cmd!r} is no step of a sequence; these are: {', '.join(STEPS)}"
+        return f"{one.cmd!r} is not a step of a sequence; the steps are: {', '.join(STEPS)}"
     if one.cmd == "perturb" and one.fields.get("action") == "load":
         return "a waveform is loaded before the sequence, with `perturb_load`"
     try:

@@ -1,17 +1,17 @@
-"""What every part agrees on.
+"""The common base of all packages.
 
-Nothing here opens a device or a socket, and only `arrays` and `process` load more than the
-standard library's small modules. The package imports nothing by itself.
+No module here opens a device or a socket, and only `arrays` and `process` load more than small
+modules of the standard library. The package imports nothing by itself.
 
-    environment  `Environment`: what is rendered and damped, and the one table of its fields
+    environment  `Environment`: rendered impedance, active damping, and the table of its fields
     params       frozen parameters in SI units, and their JSON form
-    constraints  limits of settings, declared beside them without pydantic
+    constraints  limits of settings, declared with them and without pydantic
     units        constants and small conversions
     errors       the one error tree
     faults       every reason for which the servo leaves `enabled` by itself, with its remedy
-    clock        clocks, passed to whatever waits or stamps
-    process      how a process of hapticd ends, and what it tells systemd
+    clock        clocks, passed to all code that waits or takes time stamps
+    process      the end of a process of hapticd, and its notifications to systemd
     arrays       array types and aligned arrays, in numpy
-    extras       optional libraries, and how a missing one is installed
-    lazy         names of a package that are loaded when they are first used
+    extras       optional libraries, and how to install a missing one
+    lazy         names of a package that are loaded on first use
 """

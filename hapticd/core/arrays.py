@@ -1,9 +1,9 @@
-"""Types of the arrays of `analysis`, and arrays that begin where vector registers want them.
+"""Array types, and arrays aligned for vector loads.
 
 All numbers are in SI and double precision; only sums over many trials at once may be float32
-(`Values`). A vector load that crosses the border of two cache lines costs twice as much, and the
-vectors of `batch_fft` may only be loaded from such a border: `aligned` makes arrays for them. What
-is asked for again and again is kept by `lazy_property`.
+(`Values`). A vector load across the border of two cache lines costs twice as much. The vectors of
+`batch_fft` may only be loaded from such a border; `aligned` creates arrays for them.
+`lazy_property` caches results that are used repeatedly.
 """
 
 from collections.abc import Callable
@@ -27,20 +27,20 @@ __all__ = [
 
 Floats = npt.NDArray[np.float64]  # SI values
 Complexes = npt.NDArray[np.complex128]  # responses, transforms, impedances
-Flags = npt.NDArray[np.bool_]  # a yes or no for each
-Integers = npt.NDArray[np.int64]  # places in another array
+Flags = npt.NDArray[np.bool_]  # one truth value for each item
+Integers = npt.NDArray[np.int64]  # indices of another array
 Values = npt.NDArray[np.floating[Any]]  # float32 or float64, as the batch has them
 
-CACHE_LINE = 64  # bytes; vector loads across its border cost double
+CACHE_LINE = 64  # bytes; vector loads across its border cost twice as much
 
 T = TypeVar("T")
 
 
 class lazy_property(Generic[T]):
-    """A property that is computed at the first look and kept in its object.
+    """A property that is computed on first access and cached in its object.
 
     As `functools.cached_property`, which in Python 3.11 holds a lock for all objects and threads
-    while it computes. Two threads may compute the same here, to the same bits.
+    while it computes. Here two threads may compute the same value, with the same bits.
     """
 
     def __init__(self, compute: Callable[[Any], T]) -> None:
@@ -49,15 +49,19 @@ class lazy_property(Generic[T]):
         self.__doc__ = compute.__doc__
 
     def __get__(self, owner: Any, kind: type) -> T:
-        """The kept value; `owner` then has it under the same name, and this is not asked again."""
+        """Return the value and store it in `owner` under the same name, which bypasses this method
+        later.
+        """
         found = self._compute(owner)
         owner.__dict__[self._name] = found
         return found
 
 
 def bisect(holds: Callable[[Any], Any], low: Any, high: Any, times: int) -> tuple[Any, Any]:
-    """Halve intervals about the edge between `low`, where `holds` is true, and `high`, where it is
-    not, so many `times`: numbers, or arrays (n,) of which `holds` takes a value in each interval.
+    """Halve intervals `times` times around the edge between `low`, where `holds` is true, and
+    `high`, where it is false.
+
+    The ends are numbers, or arrays (n,), of which `holds` gets a value inside each interval.
     """
     for _ in range(times):
         half = 0.5 * (low + high)

@@ -1,9 +1,8 @@
-"""Clocks, passed to whatever waits or stamps.
+"""Clocks, passed to all code that waits or takes time stamps.
 
-Everything that waits or stamps takes a Clock. `MonotonicClock` is the machine's CLOCK_MONOTONIC;
-`VirtualClock` only moves when someone moves it, so that the whole stack runs in lock-step, faster
-than real time and without sleeping. Clock readings are integer nanoseconds since an arbitrary
-origin.
+`MonotonicClock` is the machine's CLOCK_MONOTONIC. `VirtualClock` advances only when it is moved, so
+the whole stack runs in lock-step, faster than real time and without sleeping. Readings are integer
+nanoseconds since an arbitrary origin.
 """
 
 import time
@@ -15,11 +14,11 @@ __all__ = ["Clock", "MonotonicClock", "VirtualClock"]
 
 
 class Clock(ABC):
-    """What the daemon may ask of time."""
+    """The interface of every clock."""
 
     @abstractmethod
     def now_ns(self) -> int:
-        """Nanoseconds since an arbitrary origin; never goes back."""
+        """Return nanoseconds since an arbitrary origin; never decreasing."""
 
     @abstractmethod
     def sleep_until_ns(self, deadline_ns: int) -> None:
@@ -29,9 +28,7 @@ class Clock(ABC):
 class MonotonicClock(Clock):
     """The machine's clock."""
 
-    now_ns = staticmethod(
-        time.monotonic_ns
-    )  # without a call of Python: the tick reads it four times
+    now_ns = staticmethod(time.monotonic_ns)  # without a Python call: the tick reads it four times
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         wait_ns = deadline_ns - time.monotonic_ns()
@@ -40,7 +37,7 @@ class MonotonicClock(Clock):
 
 
 class VirtualClock(Clock):
-    """A clock that tests and lock-step runs move by hand."""
+    """A clock that tests and lock-step runs advance."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self.time_ns = start_ns

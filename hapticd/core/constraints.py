@@ -1,9 +1,9 @@
-"""Limits of a setting, declared beside it: `rate_hz: Annotated[float, Constraints(ge=50)]`.
+"""Limits of a setting, declared with it: `rate_hz: Annotated[float, Constraints(ge=50)]`.
 
-Parameters that are one TOML table (`TableParams`) are declared once, in `core.params`: fields are
-keys, defaults are those of the file, attribute docstrings describe a key in the JSON schema.
-`settings` hands these classes to pydantic, which calls the methods below. Nothing here imports
-pydantic, and the servo process does without it.
+The parameters of one TOML table (`TableParams`) are declared once, in `core.params`: fields are
+keys, defaults are those of the file, and attribute docstrings describe a key in the JSON schema.
+`settings` passes these classes to pydantic, which calls the methods below. No code here imports
+pydantic, and the servo process runs without it.
 """
 
 from inspect import cleandoc
@@ -21,7 +21,7 @@ __all__ = [
 
 
 class Constraints:
-    """What a value must satisfy, by pydantic's names: ge, gt, le, lt, min_length, strict."""
+    """Limits of a value, with pydantic's names: ge, gt, le, lt, min_length, strict."""
 
     def __init__(self, **constraints: Any) -> None:
         self._constraints = constraints
@@ -31,21 +31,21 @@ class Constraints:
 
 
 class TableParams:
-    """Base of parameters that one TOML table holds as they are."""
+    """Base of parameters that correspond to one TOML table."""
 
     __slots__ = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         schema = handler(source)
-        # a strict schema would take instances alone; the fields stay strict
+        # a strict schema would accept only instances; the fields stay strict
         handler.resolve_ref_schema(schema)["strict"] = False
         return schema
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
         found = handler(schema)
-        # pydantic 2.11 says neither of a dataclass
+        # pydantic 2.11 sets neither for a dataclass
         said = {"description": cleandoc(cls.__doc__ or ""), "additionalProperties": False}
         handler.resolve_ref_schema(found).update(said)
         return found

@@ -1,15 +1,16 @@
-"""What is rendered and damped: one value, and the one table of its fields.
+"""The rendered impedance and the active damping as one value, with one table of its fields.
 
 A haptic display renders a virtual stiffness K on raw position, a virtual damping B and a virtual
-mass M on filtered derivatives, and a unilateral wall (Weir, Colgate and Peshkin 2008, section 2).
-The board adds active damping electrically (section 4). An `Environment` is all of that at one time.
+mass M on filtered derivatives, and a unilateral wall. The board adds active damping electrically
+(Weir, Colgate and Peshkin 2008, sections 2 and 4). An `Environment` contains all of these at one
+time.
 
 It has two other forms: a row of doubles, by the slots of a command in the mailbox, and columns of a
 telemetry record. Each number is declared with its row of the table FIELDS: its names in all three
-forms and in messages, its unit and range, and how a change of it acts. Every translation is derived
+forms and in messages, its unit and range, and the effect of a change. Every translation is derived
 from the table.
 
-`workspace` is configured once and has no row in the table, for nothing changes it.
+`workspace` is configured once and has no row in the table, because no command changes it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,8 +40,8 @@ Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 
 @dataclass(frozen=True, slots=True)
 class FilterParams:
-    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and how it is made
-    discrete.
+    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and method of
+    discretisation.
     """
 
     frequency_hz: float
@@ -50,8 +51,8 @@ class FilterParams:
 
 @dataclass(frozen=True, slots=True)
 class WallParams:
-    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x >
-    position; -1: x < position; 0: none.
+    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x > position;
+    -1: x < position; 0: none.
     """
 
     stiffness_n_per_m: float = 0.0
@@ -70,32 +71,34 @@ class WorkspaceParams:
 
 
 class EnvironmentField(NamedTuple):
-    """A number of an Environment, in each of its forms."""
+    """One number of an Environment, in each of its forms."""
 
-    key: str  # in messages and at the shell: in the table before the dot, if there is one
+    key: str  # in messages and at the shell; the part before a dot is a table
     symbol: str  # in formulas; empty: none
     unit: str
-    low: float  # least and most that any device may be asked for
+    low: float  # range for any device
     high: float
     slot: int  # place among the doubles of a command
-    column: str = ""  # of a telemetry record; empty: no record holds it
+    column: str = ""  # of a telemetry record; empty: in no record
     meaning: str = ""  # in a few words, for schemas
-    ramped: bool = True  # whether a change of it goes on a ramp
-    strength: bool = True  # whether a force is in proportion to it
-    power: int = 0  # n where it is a spring with a force of value * x^n; 0: it is none
-    # least and most until the signs of the device are verified: with the wrong one every spring
-    # and damper drives
+    ramped: bool = True  # whether a change is ramped
+    strength: bool = True  # whether a force is proportional to it
+    power: int = 0  # n of a spring with the force value * x^n; 0: not a spring
+    # range until the signs of the device are verified: with a wrong sign every spring and damper
+    # drives the handle
     unverified: tuple[float, float] | None = None
-    path: str = ""  # of the attribute, parts joined by dots; FIELDS has it
+    path: str = ""  # of the attribute, parts joined by dots; set in FIELDS
 
 
 def _number(*row: Any, **more: Any) -> Any:
-    """An attribute that is a number, 0 unless given, with its row."""
+    """Declare an attribute that is a number with default 0, and its row."""
     return field(default=0.0, metadata={"": EnvironmentField(*row, **more)})
 
 
 def _filter(name: str, slot: int) -> dict[str, EnvironmentField]:
-    """The rows of a filter, whose corner is in `slot` and its damping ratio behind it."""
+    """Return the rows of a filter, with its corner in `slot` and its damping ratio in
+    the next one.
+    """
     fixed: dict[str, Any] = {"ramped": False, "strength": False}
     corner = f"corner of the {name} filter"
     ratio = f"damping ratio of the {name} filter"
@@ -132,7 +135,7 @@ _WALL = {
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """What is rendered and damped at one time."""
+    """Rendered impedance and active damping at one time."""
 
     stiffness_n_per_m: float = _number(
         "K", "K", "N/m", -1e4, 1e5, 2, "stiffness_n_per_m", "virtual stiffness", power=1,
@@ -177,12 +180,12 @@ class Environment:
 
     @property
     def filters(self) -> tuple[FilterParams, FilterParams]:
-        """Those of velocity and acceleration."""
+        """The filters of velocity and acceleration."""
         return self.velocity_filter, self.acceleration_filter
 
     @property
     def empty(self) -> bool:
-        """Whether it makes no force: everything that force is in proportion to is 0."""
+        """Whether it makes no force: all fields that scale a force are 0."""
         return not any(_value(self, one.path) for one in STRENGTHS)
 
     @property
@@ -191,15 +194,15 @@ class Environment:
         return tuple(_value(self, one.path) for one in FURTHER)
 
     def points(self) -> list[Point]:
-        """All (K, B, M) that it is."""
+        """Return all its (K, B, M): in free space and, if there is a wall, in contact."""
         return [self.free] if self.contact is None else [self.free, self.contact]
 
     def scaled(self, share: float) -> "Environment":
-        """The same with all its forces times `share`, as the gain of an enable has it."""
+        """Return it with all forces times `share`, as by the gain of an enable."""
         return self.with_values({one.path: share * _value(self, one.path) for one in STRENGTHS})
 
     def with_free(self, free: Sequence[float]) -> "Environment":
-        """The same with another K, B, M."""
+        """Return it with another K, B, M."""
         stiffness, virtual_damping, mass = (float(value) for value in free)
         return replace(
             self,
@@ -209,7 +212,7 @@ class Environment:
         )
 
     def with_values(self, given: Mapping[str, Any]) -> "Environment":
-        """The same with the values of `given`, by path. A side becomes an int again."""
+        """Return it with the values of `given`, by path. A side becomes an int again."""
         tables: dict[str, dict[str, Any]] = {}
         for path, value in given.items():
             table, _, leaf = path.rpartition(".")
@@ -222,31 +225,31 @@ class Environment:
     # --- as a message -----------------------------------------------------------------------------
 
     def message(self) -> dict[str, Any]:
-        """Its fields by their keys, nested as a request `set` has them."""
+        """Return its fields by their keys, nested as in a request `set`."""
         return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
-        """The same with the fields of a request. ConfigError for a name that is no field."""
+        """Return it with the fields of a request. ConfigError for an unknown field."""
         return self.with_values({_path(key): value for key, value in flat(change)})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """The fields that `change` names, with the values of this environment. ConfigError for a
-        name that is no field.
+        """Return the fields in `change`, with the values of this environment. ConfigError for an
+        unknown field.
         """
         return _nested((key, _value(self, _path(key))) for key, _ in flat(change))
 
     # --- as a row of doubles ----------------------------------------------------------------------
 
     def row(self) -> dict[int, float]:
-        """Its numbers by the slots of a command."""
+        """Return its numbers by the slots of a command."""
         return {one.slot: float(_value(self, one.path)) for one in FIELDS}
 
     def from_row(self, row: Sequence[float]) -> "Environment":
-        """The same with the numbers of a whole `row`, as a command has it."""
+        """Return it with the numbers of a whole `row` of a command."""
         return self.with_slots(dict(enumerate(row)))
 
     def with_slots(self, given: Mapping[int, float]) -> "Environment":
-        """The same with the numbers of `given`, by slot; of its other slots none is a field."""
+        """Return it with the numbers of `given`, by slot; slots that are not fields are ignored."""
         return self.with_values({one.path: given[one.slot] for one in FIELDS if one.slot in given})
 
 
@@ -256,7 +259,7 @@ def _value(environment: Environment, path: str) -> Any:
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted name, value) of every leaf of nested tables, as messages have them."""
+    """Yield (dotted name, value) of every leaf of nested tables, as in messages."""
     for name, value in table.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{name}.")
@@ -265,7 +268,6 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """The message with `values` by their keys."""
     found: dict[str, Any] = {}
     for key, value in values:
         table, _, leaf = key.rpartition(".")
@@ -275,7 +277,6 @@ def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _path(key: str) -> str:
-    """The attribute behind a key. ConfigError: there is none."""
     if key not in _PATHS:
         known = ", ".join(_PATHS)
         raise ConfigError(f"{key}: no field of an environment; there are {known}")
@@ -289,10 +290,10 @@ FIELDS: Final = tuple(
 )
 SLOTS: Final = {one.key: one.slot for one in FIELDS}
 _PATHS: Final[dict[str, str]] = {one.key: one.path for one in FIELDS}
-# the fields of a message that the guard is asked about; a table (wall, filters) counts as one
+# the fields of a message that the guard judges; a table (wall, filters) counts as one
 JUDGED: Final = tuple(dict.fromkeys(one.key.partition(".")[0] for one in FIELDS))
 STRENGTHS: Final = tuple(one for one in FIELDS if one.strength)
-# The slots before are taken. What has a later one is a further parameter: the law takes it behind
-# its own numbers, and as long as it is not 0 the guard, whose model is linear, knows nothing.
+# Lower slots are taken. A field with a slot from here on is a further parameter: the law takes it
+# after its own numbers. The guard, whose model is linear, cannot judge it unless it is 0.
 FIRST_FURTHER_SLOT: Final = 26
 FURTHER: Final = tuple(one for one in FIELDS if one.slot >= FIRST_FURTHER_SLOT)

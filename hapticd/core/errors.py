@@ -1,28 +1,25 @@
-"""The one error tree. Messages say what, the value with its unit, the limit, and what to do about
-it.
+"""The one error tree. Each message contains the subject, the value with its unit, the limit, and
+the remedy.
 
-HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody
-                           caught it)
-├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
-│   └── MissingLibrary     an optional library is not installed: the message has the command
-├── WireError              bytes that break the protocol
-│   ├── FrameError         one frame: length, CRC, range
-│   └── ProtocolMismatch   the board speaks another version: flash or install the one named
-├── LinkError              the board cannot be reached
-│   ├── LinkTimeout        no frame within the time allowed: the tick is skipped
-│   ├── LinkStalled        an endpoint stalled or babbled: cleared once, then treated as lost
-│   ├── LinkLost           unplugged or dead: wait for it with back-off
-│   └── LinkAccess         no permission, or claimed by someone else
-├── MailboxError           a shared file is missing, foreign, of another layout or out of range
-├── RealtimeError          a real-time right was refused in strict mode (exit 6)
-├── AnalysisError          a record cannot be analysed, or a question has no answer: the message
-                           says what would (exit 65)
-├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or
-│   │                      faulted)
-│   └── SequenceError      a sequence ended before its last step: which acted, and what was left
-└── DaemonDown             nobody answers (exit 3)
+HapticdError               (exit 1; `exit_code` of a class is the exit code of a process that does
+                           not catch it)
+├── ConfigError            a file or argument is wrong: fix it at the place in the message (exit 78)
+│   └── MissingLibrary     an optional library is not installed: the message has the command ├──
+WireError              bytes that break the protocol │   ├── FrameError         one frame: length,
+CRC, range │   └── ProtocolMismatch   the board has another protocol version: flash or install the
+stated one ├── LinkError              the board cannot be reached │   ├── LinkTimeout        no
+frame within the time allowed: the tick is skipped │   ├── LinkStalled        an endpoint stalled or
+babbled: cleared once, then treated as lost │   ├── LinkLost           unplugged or dead: wait for
+it with back-off │   └── LinkAccess         no permission, or claimed by another program ├──
+MailboxError           a shared file is missing, foreign, of another layout or out of range ├──
+RealtimeError          a real-time right was refused in strict mode (exit 6) ├── AnalysisError
+a record cannot be analysed, or a question has no answer: the message │                          has
+the remedy (exit 65) ├── CommandError           the daemon refused a command: `code` is the reason
+(exit 4; 5 when │   │                      stopped or faulted) │   └── SequenceError      a sequence
+ended before its last step, with its receipts and final state └── DaemonDown             no daemon
+answers (exit 3)
 
-GuardWarning               a warning: what was asked acts, and some passive hand could shake it
+GuardWarning               a warning: a change acts that some passive hand could destabilise
 """
 
 import copyreg
@@ -55,13 +52,13 @@ class HapticdError(Exception):
     exit_code = 1
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # an exception pickles by its message alone, whatever its constructor takes
+        # pickle an exception by its message alone, for any signature of its constructor
         return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class ConfigError(HapticdError):
-    """A configuration file, device file or argument is wrong; the message names file, line and
-    field.
+    """A configuration file, device file or argument is wrong; the message has file, line
+    and field.
     """
 
     exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
@@ -70,7 +67,7 @@ class ConfigError(HapticdError):
 class MissingLibrary(ConfigError):
     """An optional library is not installed.
 
-    `requirement` is what pip would be asked for, `command` what to type.
+    `requirement` is the argument for pip, `command` the shell command.
     """
 
     def __init__(self, message: str, requirement: str = "", command: str = "") -> None:
@@ -84,8 +81,8 @@ class WireError(HapticdError):
 
 
 class FrameError(WireError):
-    """One frame has a wrong length, CRC or value; it is dropped and counted. `field`: which one, as
-    vectors.jsonl names it; "" where a value cannot be encoded.
+    """One frame has a wrong length, CRC or value; it is dropped and counted. `field` is its field
+    in vectors.jsonl; "" if a value cannot be encoded.
     """
 
     def __init__(self, message: str, field: str = "") -> None:
@@ -94,9 +91,9 @@ class FrameError(WireError):
 
 
 class ProtocolMismatch(WireError):
-    """The board was built against another hapticd_wire.h; nothing is sent to it."""
+    """The board was built against another hapticd_wire.h; no frame is sent to it."""
 
-    exit_code = 78  # a restart will not help: flash or install what the message names
+    exit_code = 78  # a restart will not help: flash or install the stated version
 
 
 class LinkError(HapticdError):
@@ -104,7 +101,7 @@ class LinkError(HapticdError):
 
 
 class LinkTimeout(LinkError):
-    """No frame within the time allowed; the tick goes on without it."""
+    """No frame within the time allowed; the tick continues without it."""
 
 
 class LinkStalled(LinkError):
@@ -116,12 +113,12 @@ class LinkLost(LinkError):
 
 
 class LinkAccess(LinkError):
-    """The board is there but may not be opened: permission or another owner."""
+    """The board is present but may not be opened: permission or another owner."""
 
 
 class MailboxError(HapticdError):
-    """A shared file is missing, foreign, of another layout, or holds a value out of range: what was
-    `found`, and where it is known the `remedy`.
+    """A shared file is missing, foreign, of another layout, or contains a value out of range.
+    `found` describes the problem, `remedy` the solution if known.
     """
 
     def __init__(self, found: str, remedy: str = "") -> None:
@@ -131,22 +128,22 @@ class MailboxError(HapticdError):
 
 
 class RealtimeError(HapticdError):
-    """The operating system refused a real-time right and the configuration says strict."""
+    """The operating system refused a real-time right in strict mode."""
 
     exit_code = 6
 
 
 class AnalysisError(HapticdError):
-    """A record is too short, not finite or of unlike conditions, or a method does not apply;
-    says what to do instead.
+    """A record is too short, not finite or of unlike conditions, or a method does not apply; the
+    message has a remedy.
     """
 
     exit_code = 65  # EX_DATAERR of sysexits.h
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command; `guard` is the guard's verdict on it, where there is one: a
-    `GuardVerdict` for whoever asked, in the gateway the map that is sent.
+    """The daemon refused a command. `guard` is the guard's verdict on it, if there is one: a
+    `GuardVerdict` for a client, in the gateway the map that is sent.
     """
 
     def __init__(self, code: str, message: str, detail: object = None, guard: Any = None) -> None:
@@ -158,8 +155,8 @@ class CommandError(HapticdError):
 
 
 class SequenceError(CommandError):
-    """A sequence of changes ended before its last step; `receipts` are those of all steps, `state`
-    is that of the servo as the display was left, "unknown" if nobody answers.
+    """A sequence of changes ended before its last step. `receipts` are those of all steps, `state`
+    is the final state of the servo, "unknown" without an answer.
     """
 
     def __init__(self, code: str, message: str, receipts: tuple[Any, ...], state: str) -> None:
@@ -169,9 +166,9 @@ class SequenceError(CommandError):
 
 
 class DaemonDown(HapticdError):
-    """No daemon answers at the endpoint: `command` starts it, where that would help.
+    """No daemon answers at the endpoint: `command` starts it, if that would help.
 
-    `running` names the instances of this user that run.
+    `running` lists the running instances of this user.
     """
 
     exit_code = 3
@@ -182,15 +179,15 @@ class DaemonDown(HapticdError):
         self.running = running
 
     def plain(self) -> dict[str, Any]:
-        """What --json shows of it."""
+        """Return the fields for --json."""
         return {"remedy": self.command, "running": list(self.running)}
 
 
 class GuardWarning(UserWarning):
-    """What was asked acts, or will, and some passive hand could shake it.
+    """A change acts, or will act, that some passive hand could destabilise.
 
-    `margin_ns_per_m` is the damping to spare [N s/m], negative where it is short, None where the
-    verdict has none; `remedy` says what would do; `receipt` is that of the change, with the whole
+    `margin_ns_per_m` is the damping margin [N s/m], negative for a shortfall, None if the verdict
+    has none; `remedy` is a sufficient change; `receipt` is that of the change, with the whole
     verdict in its `guard`.
     """
 

@@ -1,8 +1,10 @@
-"""Optional libraries: imported where a verb needs one; a missing one is named with its remedy.
+"""Optional libraries: imported by the commands that need them; a missing one is reported with its
+remedy.
 
-The requirement is that of the installed distribution's metadata, so pyproject.toml alone states
-it. The command installs into the environment that runs: `make lab` in a checkout's own .venv, else
-pip or uv by the path of its interpreter. hapticd itself is on no index, so no command names it.
+The requirement comes from the metadata of the installed distribution, so only pyproject.toml states
+it. The command installs into the running environment: `make lab` in a checkout's own .venv,
+otherwise pip or uv by the path of its interpreter. hapticd itself is not on a package index, so no
+command contains it.
 """
 
 import re
@@ -20,13 +22,13 @@ from hapticd.core.errors import MissingLibrary
 __all__ = ["install_command", "need", "requirement", "requirements"]
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-LAB = {"numba", "matplotlib"}  # what `make lab` adds
+LAB = {"numba", "matplotlib"}  # installed by `make lab`
 
 
 def need(module: str, purpose: str) -> Any:
     """Import `module`.
 
-    MissingLibrary: it is not installed; `purpose` says what needs it.
+    MissingLibrary: it is not installed; `purpose` is the feature that needs it.
     """
     try:
         return import_module(module)
@@ -38,7 +40,7 @@ def need(module: str, purpose: str) -> Any:
 
 
 def requirements() -> list[str]:
-    """What hapticd takes, as its metadata has it; nothing where a folder runs that is not
+    """Return the requirements of hapticd in its metadata; [] if it runs from a folder without being
     installed.
     """
     with suppress(PackageNotFoundError):
@@ -47,7 +49,7 @@ def requirements() -> list[str]:
 
 
 def requirement(library: str) -> str:
-    """The name of `library` with the versions that hapticd takes, as pip reads it."""
+    """Return the name of `library` with the versions that hapticd accepts, in pip's syntax."""
     for line in requirements():
         stated = line.partition(";")[0].strip()
         if re.match(r"[\w.-]+", stated)[0].replace("-", "_") == library:  # type: ignore[index]  # never empty
@@ -56,11 +58,11 @@ def requirement(library: str) -> str:
 
 
 def install_command(library: str) -> str:
-    """The shell command that installs `library` into the environment that runs."""
+    """Return the shell command that installs `library` into the running environment."""
     if library in LAB and Path(sys.prefix) == CHECKOUT / ".venv":
         return f"make -C {shlex.quote(str(CHECKOUT))} lab"
     wanted = shlex.quote(requirement(library))
     python = shlex.quote(sys.executable)
-    if find_spec("pip") is None:  # an environment that uv made
+    if find_spec("pip") is None:  # an environment created by uv
         return f"uv pip install --python {python} {wanted}"
     return f"{python} -m pip install {wanted}"

@@ -1,8 +1,8 @@
-"""Every reason for which the servo leaves `enabled` by itself: one table of code, cause, action,
+"""Every reason for which the servo leaves `enabled` by itself: one table of code, cause, action and
 remedy.
 
-Every tick record and state message contains the number; people and scripts read the name. Numbers
-are never reused. `stop` is not a failure but a latched stop from any client. It shares the table so
+Every tick record and state message contains the number; users and scripts read the code. Numbers
+are never reused. `stop` is not a failure but a latched stop from any client. It is in the table so
 that one field shows why the force is off.
 """
 
@@ -12,7 +12,7 @@ __all__ = ["BY_CODE", "BY_NUMBER", "FAULTS", "FROM_GATEWAY", "Fault"]
 
 
 class Fault(NamedTuple):
-    """One row: `number` on the wire, `code` for people, then sentences."""
+    """One row: `number` on the wire, `code` for users, then sentences."""
 
     number: int
     code: str

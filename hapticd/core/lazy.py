@@ -1,7 +1,7 @@
-"""Names of a package that are loaded when they are first used (PEP 562).
+"""Names of a package that are loaded on first use (PEP 562).
 
-`import hapticd` takes a millisecond, while what its names bring (numpy, ZeroMQ, pydantic) takes
-hundreds, and the servo process, which imports the package too, may load none of it.
+`import hapticd` takes 1 ms, while the modules behind its names (numpy, ZeroMQ, pydantic) take
+hundreds. The servo process imports the package too, and must load none of them.
 """
 
 import sys
@@ -15,7 +15,7 @@ __all__ = ["lazily"]
 def lazily(
     package: str, homes: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of the module `package`, for names by the module that has them.
+    """Return `__getattr__` and `__dir__` of the module `package`, for names by their modules.
 
     AttributeError for any other name.
     """
@@ -24,7 +24,7 @@ def lazily(
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(homes[name]), name)
-        setattr(sys.modules[package], name, found)  # the next use finds it without a call
+        setattr(sys.modules[package], name, found)  # later uses need no call
         return found
 
     return load, lambda: sorted({*vars(sys.modules[package]), *homes})

@@ -1,6 +1,6 @@
 """Frozen parameters in SI units, and their JSON form.
 
-`settings` validates TOML with pydantic and hands these down; `servo.json` and `board.json` are
+`settings` validates TOML with pydantic and creates these objects. `servo.json` and `board.json` are
 their plain JSON form, so that the servo process needs neither TOML nor pydantic. `from_plain`
 rebuilds a tree and refuses unknown or missing keys.
 """
@@ -85,23 +85,23 @@ __all__ = [
 
 T = TypeVar("T")
 
-# words of the guard and of leases, as files, messages and commands have them (docs/guard.md)
+# words of the guard and of leases in files, messages and commands (docs/guard.md)
 Policy = Literal["off", "warn", "clamp", "refuse", "follow"]
 BasisName = Literal["theorem", "predicted", "measured"]
 DampingMode = Literal["off", "level", "auto"]
 Leased = Literal["environment", "active_damping", "perturbation", "measuring"]
 AtEnd = Literal["hold", "zero", "disable"]
-STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # what is unknown is refused
+STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # refuse unknown environments
 
 ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR-0014
-RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR-0013
+RAMP_ENERGY_J = 0.03  # K = 600 N/m applied 10 mm off its centre; see ADR-0013
 COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified; see ADR-0029
 CALIBRATION_DAYS = 365  # see ADR-0029
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
-LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
+LONGEST_TIMEOUT_MS = 5  # of a transfer; docs/safety.md derives the end of force from it
 LAST_TICK = 10**12  # of an injection: 30 years at 1 kHz
-ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
+ACTIVE_DAMPING_NS_PER_M = 1.74  # of `damping on`: Weir, Colgate and Peshkin 2008, section 5
 
 
 RigStep = Literal[
@@ -115,13 +115,13 @@ RigStep = Literal[
 ]
 RIG_STEPS: tuple[str, ...] = get_args(RigStep)
 MeasuredBy = Literal[RigStep, "paper", ""]
-# between a measured scale and the board's nominal one; more is a wrong unit, range or board
+# between a measured scale and the board's nominal one; more means a wrong unit, range or board
 MOST_CORRECTION = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
-    """value = sign * (count - offset_count) * per_count, and where that comes from."""
+    """value = sign * (count - offset_count) * per_count, and the source of the numbers."""
 
     per_count: float
     sign: int = 1
@@ -129,8 +129,8 @@ class ScaleParams:
     half_width_95: float | None = None  # of the 95 % interval of per_count; None: unknown
     measured_on: str = ""  # ISO date
     measured_by: str = ""  # a `MeasuredBy`
-    serial: str = ""  # of the board at which it was measured; "": that of the device file
-    source: str = ""  # in words
+    serial: str = ""  # of the measured board; "": that of the device file
+    source: str = ""  # description
 
     @property
     def measured(self) -> bool:
@@ -138,11 +138,11 @@ class ScaleParams:
         return self.measured_by in RIG_STEPS
 
     def to_value(self, count: float) -> float:
-        """SI value of `count`."""
+        """Return the SI value of `count`."""
         return self.sign * (count - self.offset_count) * self.per_count
 
     def to_count(self, value: float, low: int, high: int) -> int:
-        """Nearest count for a finite SI `value`, held inside `low`..`high`."""
+        """Return the nearest count for a finite SI `value`, clamped to `low`..`high`."""
         return max(
             low, min(high, round_half_up(self.sign * value / self.per_count + self.offset_count))
         )
@@ -150,51 +150,51 @@ class ScaleParams:
 
 @dataclass(frozen=True, slots=True)
 class HomeParams(TableParams):
-    """How the origin of position is found."""
+    """The search for the origin of position."""
 
     method: Literal["none", "stop", "index"] = "none"
     required: bool = False
-    """Refuse to enable before it was done."""
+    """Refuse to enable before homing."""
     direction: Literal[-1, 1] = -1
     speed_m_per_s: Annotated[float, Constraints(gt=0, le=1)] = 0.01
     force_n: Positive = 0.5
     position_m: float = 0.0
-    """Where the stop or index lies."""
+    """Position of the stop or index."""
     timeout_s: Annotated[float, Constraints(gt=0, le=600)] = 10.0
     tolerance_m: Annotated[float, Constraints(gt=0, le=0.01)] = 50e-6
-    """Between the two finds, and what a stop may yield under half the push."""
+    """Largest distance between the two finds, and largest yield of a stop under half the push."""
     back_off_m: Annotated[float, Constraints(gt=0, le=0.1)] = 2e-3
-    """Way between the two finds; at least eight times the tolerance."""
+    """Distance between the two approaches; at least eight times the tolerance."""
     current_n_per_a: NotNegative = 0.0
-    """Endpoint force per ampere of the motor; 0: its current is not looked at."""
+    """Endpoint force per ampere of the motor; 0: its current is not checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResistanceParams:
-    """How a board compensates the winding's resistance, and what is known of the winding
-    (render.winding). The circuit believes in base_ohm + trim.
+    """The compensation of the winding's resistance by the board, and the data of the winding
+    (render.winding). The circuit assumes base_ohm + trim.
     """
 
-    trim: ScaleParams  # ohm beyond base_ohm that a count of the DAC adds
-    full_scale_ohm: float  # that 32767 counts add
-    base_ohm: float  # that the circuit compensates at count 0
+    trim: ScaleParams  # ohm above base_ohm per count of the DAC
+    full_scale_ohm: float  # added by 32767 counts
+    base_ohm: float  # compensated at count 0
     winding_ohm: float  # of the winding at reference_c
     reference_c: float
     per_k: float  # relative change of its resistance
-    tolerance_ohm: float  # by which less than the winding has is compensated
+    tolerance_ohm: float  # by which the compensation stays below the winding's resistance
     slew_ohm_per_s: float  # of the trim
     force_n_per_a: float  # endpoint force per ampere of the motor
-    heat_from: str  # what tells how the winding is heated: "current" | "force"
+    heat_from: str  # source for the heating of the winding: "current" | "force"
     thermal_resistance_k_per_w: float  # winding to surroundings
     time_constant_s: float  # of the winding against its surroundings
     ambient_low_c: float  # the surroundings are never colder,
     ambient_high_c: float  # and never hotter
-    model_error: float  # share by which thermal resistance and time constant may be wrong
+    model_error: float  # relative error of thermal resistance and time constant
 
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentLimits:
-    """Lowest and highest K [N/m], B [N s/m] and M [kg] that a client may ask for."""
+    """Lowest and highest K [N/m], B [N s/m] and M [kg] that a client may request."""
 
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
@@ -202,7 +202,7 @@ class EnvironmentLimits:
 
 @dataclass(frozen=True, slots=True)
 class DeviceParams:
-    """A device file: what one count means on this very device, and what it may be asked for."""
+    """A device file: the value of a count on this device, and its limits."""
 
     name: str
     serial: str
@@ -219,40 +219,40 @@ class DeviceParams:
     active_damping_limit_ns_per_m: float
     probe_limit_n: float
     temperature_limit_c: float
-    speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
+    speed_limit_m_per_s: float  # a higher speed is a sensor fault, not a motion
     home: HomeParams = HomeParams()
-    # capabilities of the board without which the device may not be used: "probe", "temperature"
+    # required capabilities of the board: "probe", "temperature"
     relies_on: tuple[str, ...] = ()
-    # corner of a first-order low-pass on the commanded force, where a model knows it; 0: none
+    # corner of a first-order low-pass on the commanded force, if a model has one; 0: none
     force_smoothing_hz: float = 0.0
-    overspeed_m_per_s: float | None = None  # faster for some ms is a fault; None: not looked at
-    # N s/m that the device has for certain, from its file; None: unknown, no fault `energy`
+    overspeed_m_per_s: float | None = None  # a higher speed for some ms is a fault; None: off
+    # guaranteed N s/m of the device, from its file; None: unknown, no fault `energy`
     physical_damping_ns_per_m: float | None = None
-    energy_limit_j: float = ENERGY_LIMIT_J  # that may be given away without cover: fault `energy`
+    energy_limit_j: float = ENERGY_LIMIT_J  # energy given out without cover: fault `energy`
     # largest step of force [N] in one tick by an enable or a change of parameters; infinite: any
     force_step_n: float = math.inf
-    # faster change of speed is believed only when the next sample goes on from it (servo.glitch)
+    # a higher acceleration is accepted only if the next sample continues from it (servo.glitch)
     acceleration_limit_m_per_s2: float = math.inf
-    # that enables and changes of parameters may bring in within a second (servo.easing)
+    # energy that enables and changes of parameters may add within a second (servo.easing)
     ramp_energy_j: float = math.inf
     resistance: ResistanceParams | None = None  # None: the board's compensation stays at count 0
     motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown
     winding_ohm: float = 0.0  # at `winding_reference_c`, from the device file; 0: unknown
     winding_reference_c: float = 20.0
     motor_lever_m: float = 1.0  # radius that turns torque into force, from [motor]; 1: unknown
-    # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
+    # its signs are not verified: limited force, K, B and M (servo.commissioning)
     commissioning: bool = False
-    signs_firmware: str = ""  # of the board when its signs were seen, like 1.0; "": any
+    signs_firmware: str = ""  # of the board when its signs were verified, like 1.0; "": any
     active_damping_with_force_n: float = (
         0.0  # full scale of force when damping was measured; 0: unknown
     )
-    probe_skew_us: float = 0.0  # by which the probe's velocity is later than its force
-    calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
+    probe_skew_us: float = 0.0  # delay of the probe's velocity relative to its force
+    calibration_days: int = CALIBRATION_DAYS  # maximum age of a calibration
     environment_limits: EnvironmentLimits | None = None  # None: those of the mailbox alone
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
-        """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
-        scale of sign -1 counts downwards as the winding gets hot.
+        """Return the lowest and highest count, inside `low`..`high`, of an allowed temperature.
+        With sign -1 the count falls as the winding gets hot.
         """
         limit = self.temperature.to_count(self.temperature_limit_c, low, high)
         return (low, limit) if self.temperature.sign > 0 else (limit, high)
@@ -263,7 +263,7 @@ class SafetyParams(TableParams):
     """Times and levels of the safety table."""
 
     force_limit_n: Positive | None = None
-    """Tighter than the device's own limit; left out: the device's limit."""
+    """Tighter than the device's own limit; default: the device's limit."""
     enable_ramp_s: Duration = 0.5
     stop_ramp_s: Annotated[float, Constraints(ge=0, le=1)] = 0.02
     active_damping_hold_s: Duration = 2.0
@@ -281,49 +281,49 @@ class SafetyParams(TableParams):
     glitches_limit: Annotated[int, Constraints(ge=0, le=1000)] = 2
     """Bad encoder samples that may occur within one second."""
     default_ramp_s: Duration = 0.05
-    """Ramp of a `set` that names none."""
-    # a trial at the edge of stability does without
+    """Ramp of a `set` without one."""
+    # a trial at the edge of stability switches it off
     limit_cycle_faults: bool = True
     """Faults force_at_limit and energy."""
     energy_controller: bool = False
-    """More active damping, then less of K, B, M and walls, before the fault `energy`."""
+    """Before the fault `energy`, raise the active damping, then reduce K, B, M and walls."""
 
 
 @dataclass(frozen=True, slots=True)
 class RealtimeParams(TableParams):
-    """What the servo process asks of the operating system."""
+    """Resources that the servo process requests from the operating system."""
 
     rate_hz: ServoRateHz = 1000.0
     mode: Literal["strict", "best_effort", "off"] = "best_effort"
-    """strict: refuse to start without the rights; best_effort: take what is granted, report it."""
+    """strict: refuse to start without the rights; best_effort: use the granted ones, and report."""
     priority: Annotated[int, Constraints(ge=1, le=99)] = 79
     core: Annotated[int, Constraints(ge=0)] | None = None
-    """Left out: the last core that this process may use."""
+    """Default: the last core that this process may use."""
     spin_us: Annotated[float, Constraints(ge=0, le=10_000)] = 100.0
     """Busy waiting before each deadline."""
     lock_memory: bool = True
     grace_s: Duration = 1.0
-    """Overruns right after the start are counted apart for this long."""
+    """Overruns in this time after the start are counted separately."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsbTable(TableParams):
-    """Which board; its serial number stands in the device file."""
+    """USB identity and transfers of the board; its serial number is in the device file."""
 
     vendor_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x1209
     product_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x0001
-    # the schema names the limit, `settings.load` refuses with the reason for it
+    # the schema contains the limit; `settings.load` refuses with its reason
     timeout_ms: Annotated[int, Constraints(ge=1)] = field(
         default=1, metadata={"json_schema_extra": {"maximum": LONGEST_TIMEOUT_MS}}
     )
-    """Of one transfer. A silent board may delay the end of force by one."""
+    """Time-out of one transfer. A silent board may delay the end of force by one time-out."""
     in_flight: bool = False
-    """Transfers go on while the servo computes, so the force acts earlier."""
+    """Transfers continue while the servo computes, so the force acts earlier."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsbParams(UsbTable):
-    """Which board: None matches any."""
+    """USB identity of the board: serial None matches any."""
 
     serial: str | None = None
 
@@ -341,17 +341,17 @@ class ServoParams:
     usb: UsbParams
     active_damping_ns_per_m: float = ACTIVE_DAMPING_NS_PER_M
     config_hash: str = ""
-    device_file: str = ""  # from which `device` was read; "": from none
+    device_file: str = ""  # source of `device`; "": none
     device_file_sha256: str = ""  # of its bytes then
 
     def __post_init__(self) -> None:
         if self.safety.force_limit_n is None:
             safety = replace(self.safety, force_limit_n=self.device.force_limit_n)
-            object.__setattr__(self, "safety", safety)  # the way of a frozen dataclass
+            object.__setattr__(self, "safety", safety)  # as a frozen dataclass requires
 
     @property
     def force_limit_n(self) -> float:
-        """The most that may be commanded [N]: by configuration and device, and a tenth of the
+        """The largest commanded force [N], by configuration and device. It is a tenth of the
         device's until its signs are verified.
         """
         share = COMMISSIONING_SHARE if self.device.commissioning else 1.0
@@ -361,8 +361,8 @@ class ServoParams:
 
     @property
     def soft_ends(self) -> WorkspaceParams:
-        """The soft ends of the workspace; without springs until the signs of the device are
-        verified, since nobody knows on which side they lie.
+        """The soft ends of the workspace. They have no springs until the signs of the device are
+        verified, because their side is unknown.
         """
         ends = self.environment.workspace
         return replace(ends, stiffness_n_per_m=0.0) if self.device.commissioning else ends
@@ -374,7 +374,7 @@ class InjectionParams(TableParams):
 
     kind: Annotated[str, Constraints(min_length=1)]
     tick: Annotated[int, Constraints(ge=-1, le=LAST_TICK)] = -1
-    """At this tick; -1: by probability."""
+    """Tick of the fault; -1: by probability."""
     probability: Annotated[float, Constraints(ge=0, le=1)] = 0.0
     count: Annotated[int, Constraints(ge=1, le=LAST_TICK)] = 1
     value: Annotated[float, Constraints(ge=-1e9, le=1e9)] = 0.0
@@ -408,9 +408,9 @@ class Ends:
 
 @dataclass(frozen=True, slots=True)
 class RotorForce:
-    """A force F(x, v) on the rotor that is not linear, added on column `Inputs.rotor_force`.
+    """A nonlinear force F(x, v) on the rotor, added on column `Inputs.rotor_force`.
 
-    `law` names it in both backends (`model.composed`, `zwidth.engine.source`); `numbers` are its
+    `law` is its name in both backends (`model.composed`, `zwidth.engine.source`); `numbers` are its
     parameters in SI units.
     """
 
@@ -429,7 +429,7 @@ class DriveLimits:
     motor_force: int
     velocity: int  # of the rotor
     limit_n: float  # force of the largest current
-    stall_n: float  # force that the supply's voltage holds on a rotor that stands
+    stall_n: float  # force of the supply's voltage on a rotor at rest
     shorted_ns_per_m: float  # damping of the winding shorted through the amplifier
     electrical_rad_s: float  # R / L
     amplifier_rad_s: float  # bandwidth of the current
@@ -437,9 +437,11 @@ class DriveLimits:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity;
-    `estimate_psd` one-sided density [(m/s)^2/Hz] of the velocity estimate (a value held for h
-    seconds has the variance estimate_psd / (2 h)).
+    """White noise of recorded velocity and velocity estimate.
+
+    `velocity_m_per_s` is the rms added to each 4 kHz value of the recorded velocity. `estimate_psd`
+    is the one-sided density [(m/s)^2/Hz] of the velocity estimate: a value held for h seconds has
+    the variance estimate_psd / (2 h).
     """
 
     velocity_m_per_s: float = 0.0
@@ -448,8 +450,8 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class OutputParams:
-    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b
-    is the damping level.
+    """y = (c0 + b c1) x + (d0 + b d1) u of the simulated device, over its states and inputs; b is
+    the damping level.
     """
 
     c0: tuple[float, ...]
@@ -460,7 +462,7 @@ class OutputParams:
 
 @dataclass(frozen=True, slots=True)
 class HeatingParams:
-    """The winding's own state: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) -
+    """State of the winding: dT/dt = (R(T) (F/K)^2 R_th - (T - ambient)) / tau, dR = R(T) -
     compensated_ohm.
     """
 
@@ -475,19 +477,18 @@ class HeatingParams:
 
 @dataclass(frozen=True, slots=True)
 class PlantParams:
-    """The composed device of a simulated board: its exact maps over one sub-step, and what is not
-    linear.
+    """The composed device of a simulated board: its exact maps over one sub-step, and its nonlinear
+    parts.
 
-    n states, m inputs. `maps` holds for every residual resistance, and in it for every damping
-    level, the n rows of [Phi Gamma] (n + m numbers each) one after the other; between the nodes it
-    is interpolated.
+    n states, m inputs. `maps` contains for every residual resistance and every damping level the n
+    rows of [Phi Gamma] (n + m numbers each) one after the other; it is interpolated between the
+    nodes.
     """
 
     states: tuple[str, ...]
-    # command, torque, then estimate, rotor_force, amplifier and one per contact, as far as there
-    # are any
+    # command, torque, then, if present, estimate, rotor_force, amplifier and one per contact
     columns: tuple[str, ...]
-    floating: bool  # nothing holds the device in place: only differences of positions matter
+    floating: bool  # the device is not fixed to the ground: only differences of positions matter
     levels_ns_per_m: tuple[float, ...]  # rising, from 0
     residuals_ohm: tuple[float, ...]  # rising; one, if the winding's temperature does not change
     maps: tuple[tuple[float, ...], ...]
@@ -511,21 +512,23 @@ class HandParams(TableParams):
 
     kind: Literal["hold", "push", "strike"]
     start_s: NotNegative = 0.0
-    """After the first frame."""
+    """Time after the first frame."""
     duration_s: Positive = 1e9
     force_n: float = 0.0
-    """Of a push; highest of a strike."""
+    """Force of a push; peak of a strike."""
     stiffness_n_per_m: NotNegative = 0.0
-    """Of a hold."""
+    """Stiffness of a hold."""
     damping_ns_per_m: NotNegative = 0.0
-    """Of a hold."""
+    """Damping of a hold."""
     tremor_m: NotNegative = 0.0
-    """rms wander of the point at which it holds."""
+    """rms wander of the point of a hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchParams(TableParams):
-    """What touches the moving part of the simulated device beside its motor; seeded by `seed`."""
+    """Contacts of the moving part of the simulated device, in addition to its motor; seeded by
+    `seed`.
+    """
 
     stop_stiffness_n_per_m: NotNegative = 0.0
     """0: inelastic stops."""
@@ -533,30 +536,28 @@ class TouchParams(TableParams):
     coulomb_n: NotNegative = 0.0
     """Added to the device's own friction at the rotor."""
     static_n: NotNegative = 0.0
-    """That friction while the rotor stands; at least coulomb_n."""
+    """Static value of that friction; at least coulomb_n."""
     hands: Annotated[tuple[HandParams, ...], Constraints(strict=False)] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class BusParams(TableParams):
-    """A model of full-speed USB behind an xHCI controller; times that it gives are those of a
-    model.
-    """
+    """A model of full-speed USB behind an xHCI controller; its times are model values."""
 
     # `sim.bus` has the source of each number
     transfer: Literal["bulk", "interrupt"] = "bulk"  # of both endpoints
     bit_stuffing: Annotated[float, Constraints(ge=0, le=1)] = 0.0
     """Share of the worst case."""
     nak_us: Annotated[float, Constraints(ge=1, le=1000)] = 16.0
-    """After a NAK until the controller asks a bulk IN again."""
+    """Time after a NAK until the controller polls a bulk IN again."""
     hub_microframes: Annotated[int, Constraints(ge=0, le=2)] = 0
-    """More each way behind a high-speed hub; 0: a root port."""
+    """Additional microframes each way behind a high-speed hub; 0: a root port."""
     moderation_us: Annotated[float, Constraints(ge=0, le=10_000)] = 40.0
     """Shortest time between two interrupts of the controller."""
     frame_ppm: Annotated[float, Constraints(ge=-1000, le=1000)] = 0.0
-    """By which the clock of the frames is slower than that of the host."""
+    """Difference by which the clock of the frames is slower than that of the host."""
     periodic_us: Annotated[float, Constraints(ge=0, le=800)] = 0.0
-    """Of each frame, taken by periodic transfers of other devices."""
+    """Part of each frame taken by periodic transfers of other devices."""
     busy: Annotated[float, Constraints(ge=0, le=1)] = 0.0
     """Share of transfers that find a packet of another device on the wire."""
     submit_us: Microseconds = 8.0
@@ -564,18 +565,20 @@ class BusParams(TableParams):
     complete_us: Microseconds = 12.0
     """Mean time from the interrupt until the kernel has completed a transfer."""
     wake_us: Microseconds = 15.0
-    """Mean time until a thread runs that waited for a transfer."""
+    """Mean time until a thread waiting for a transfer runs."""
 
 
 def _said(description: str) -> dict[str, str]:
-    """What would be an attribute docstring; pydantic finds none of a base class."""
+    """Return a description in place of an attribute docstring, which pydantic does not find in a
+    base class.
+    """
     return {"description": description}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardTraits(TableParams):
-    """What the simulated board's firmware and its place on the bus are like, as [simulation] says
-    it; each default is a board that does what it should.
+    """Properties of the simulated board's firmware and its place on the bus, from [simulation];
+    each default is a board without defects.
     """
 
     watchdog_ms: Annotated[float, Constraints(ge=1, le=10_000)] = 250.0
@@ -633,7 +636,7 @@ class BoardTraits(TableParams):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardParams(BoardTraits):
-    """Everything the simulated board needs (board.json): nominal scales of its firmware and the
+    """All parameters of the simulated board (board.json): nominal scales of its firmware and the
     plant's numbers.
     """
 
@@ -660,19 +663,19 @@ class BoardParams(BoardTraits):
     lag_periods: int = (
         0  # whole periods of transport delay between the receipt of a torque and its effect
     )
-    plant: PlantParams | None = None  # the composed device; without it one rigid mass
+    plant: PlantParams | None = None  # the composed device; None: one rigid mass
     hello_serial: str = ""  # serial number in the hello reply; empty: `serial`
-    lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "event"
-    # ohm that the resistance DAC adds at 32767 counts, with its sign; 0: it is not connected
+    lacks: tuple[str, ...] = ()  # missing capabilities: "probe", "event"
+    # signed ohm that the resistance DAC adds at 32767 counts; 0: not connected
     trim_full_scale_ohm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class GatewayParams(TableParams):
-    """Where telemetry is offered. Commands are taken on a socket in the runtime folder."""
+    """The address of telemetry. Commands use a socket in the runtime folder."""
 
     telemetry_port: Annotated[int, Constraints(ge=0, le=65_535)] = 9872  # PlotJuggler's default
-    """0, or a port that is taken: any free one."""
+    """0, or a port in use: any free one."""
     batch: Annotated[int, Constraints(ge=1, le=1000)] = 20
     """Ticks in one `servo` message."""
     tcp_host: Annotated[str, Constraints(min_length=1)] = "127.0.0.1"
@@ -681,28 +684,28 @@ class GatewayParams(TableParams):
     curve_keys: str | None = None
     """Folder with the server's key and those of allowed clients."""
     flight_s: Annotated[float, Constraints(gt=0, le=600)] = 60.0
-    """What the flight recorder keeps, at every tick."""
+    """Time covered by the flight recorder, at every tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuardTable(TableParams):
-    """What is done with an environment that is not known to be passive."""
+    """The treatment of environments that are not known to be passive."""
 
     policy: Policy | None = None
-    """Left out: `refuse` on hardware whose device file has a [model], else `warn`."""
+    """Default: `refuse` on hardware whose device file has a [model], otherwise `warn`."""
     basis: BasisName = "theorem"
     """theorem: for any input and hand; predicted: with friction, at the amplitude of a trial;
-    measured: what the file `measured` says.
+    measured: within the limits in the file `measured`.
     """
     measured: str | None = None
-    """A .zwidth file of this device; beside this file if relative."""
+    """A .zwidth file of this device; a relative path starts at the folder of this file."""
     margin_ns_per_m: Annotated[float, Constraints(ge=0, le=100)] = 0.0
-    """That has to be left for an environment to be allowed."""
+    """Margin required of an allowed environment."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuardParams(GuardTable):
-    """The same with what this device has where it was left out; no file is ""."""
+    """The guard's table with this device's values in place of omitted ones; "" means no file."""
 
     policy: Policy = "warn"
     measured: str = ""
@@ -710,24 +713,26 @@ class GuardParams(GuardTable):
 
 @dataclass(frozen=True, slots=True)
 class LeaseParams(TableParams):
-    """What a client that takes a lease has, unless it asks for something else."""
+    """The defaults of a client's lease."""
 
     ttl_s: Annotated[float, Constraints(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
-    """A lease ends when its holder asked nothing for so long."""
+    """A lease ends when its holder has sent no request for this time."""
     at_end: AtEnd = "zero"
-    """When its holder dies or falls silent. zero: K, B and M, if they were leased, go to 0 on a
-    ramp; disable: force off; hold: all stays. Active damping stays in any case.
+    """Action when the holder dies or falls silent. zero: K, B and M, if they were leased, ramp to
+    0; disable: force off; hold: all stays. Active damping stays in any case.
     """
 
 
 @dataclass(frozen=True, slots=True)
 class ModelParams:
-    """What a judgement needs of a composed device (`model.model.Model`), n states, m inputs."""
+    """The part of a composed device (`model.model.Model`) that judgements need; n
+    states, m inputs.
+    """
 
     name: str
     rate_hz: float
     delay_periods: float  # from the encoder sample to its command, without the hold
-    states: tuple[str, ...]  # n names; those of positions end in _position
+    states: tuple[str, ...]  # n names; names of positions end in _position
     a0: tuple[tuple[float, ...], ...]  # n rows of n
     a1: tuple[tuple[float, ...], ...]  # n rows of n, per N s/m of active damping
     b0: tuple[tuple[float, ...], ...]  # n rows of m
@@ -745,21 +750,21 @@ class ModelParams:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredLevel:
-    """Axis limits that a bench found at one active damping: each of K, B, M alone, the others 0,
-    by the end of its interval that is nearer to 0; 0 where none was looked for.
+    """Axis limits that a bench found at one active damping: each of K, B, M alone, the others 0. A
+    limit is the end of its interval that is nearer to 0; 0 if it was not measured.
     """
 
     active_damping_ns_per_m: float  # active damping
     stiffness_n_per_m: float  # largest K
-    virtual_damping_low_ns_per_m: float  # least B
+    virtual_damping_low_ns_per_m: float  # smallest B
     virtual_damping_high_ns_per_m: float  # largest B
-    mass_low_kg: float  # least M
+    mass_low_kg: float  # smallest M
     mass_high_kg: float  # largest M
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredParams:
-    """What a .zwidth file says of this device, or why it may not be used."""
+    """The content of a .zwidth file for this device, or why it may not be used."""
 
     file: str
     refused: str  # why not; empty: it may be used
@@ -770,16 +775,16 @@ class MeasuredParams:
 
 @dataclass(frozen=True, slots=True)
 class GuardSetup:
-    """guard.json: everything that the guard's worker needs."""
+    """guard.json: all parameters of the guard's worker."""
 
     guard: GuardParams
-    config_hash: str  # of the servo that it judges for
-    environment: Environment  # its filters' way of being made discrete
-    active_damping_ns_per_m: float  # what `damping on` means
-    active_damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
+    config_hash: str  # of the judged servo
+    environment: Environment  # for the discretisation of its filters
+    active_damping_ns_per_m: float  # level of `damping on`
+    active_damping_limit_ns_per_m: float  # limit of the damping circuit, from the device file
     active_damping_count_ns_per_m: float  # one count of its DAC
-    limits: EnvironmentLimits  # of K, B, M that a client may ask for
-    model: ModelParams | None = None  # None: nothing is known of the device
+    limits: EnvironmentLimits  # of K, B, M that a client may request
+    model: ModelParams | None = None  # None: no model of the device
     model_hash: str = ""
     measured: MeasuredParams | None = None
     psd_n2_per_hz: float = 2.5e-5  # perturbation of the basis `predicted`, one-sided
@@ -788,9 +793,7 @@ class GuardSetup:
 
 @dataclass(frozen=True, slots=True)
 class GatewaySetup:
-    """gateway.json: the gateway's own parameters, and the servo's for the limits and scales it
-    checks against.
-    """
+    """gateway.json: the gateway's own parameters, and the servo's for limits and scales."""
 
     servo: ServoParams
     gateway: GatewayParams = GatewayParams()
@@ -799,12 +802,12 @@ class GatewaySetup:
 
 
 def to_plain(value: Any) -> Any:
-    """Dataclass tree -> dicts and lists that json writes."""
+    """Return a dataclass tree as dicts and lists for json."""
     return dataclasses.asdict(value)
 
 
 def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
-    """Dicts and lists -> dataclass tree of type `kind`. Raises ConfigError with the path of a
+    """Return dicts and lists as a dataclass tree of type `kind`. ConfigError with the path of a
     wrong key.
     """
     known = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
@@ -828,7 +831,7 @@ def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
 
 
 def read_params(kind: type[T], path: Path) -> T:
-    """The parameters of `kind` in the JSON file `path`. ConfigError names the file."""
+    """Return the parameters of `kind` in the JSON file `path`. ConfigError with the file."""
     try:
         return from_plain(kind, json.loads(path.read_text()), str(path))
     except (OSError, ValueError) as error:

@@ -1,7 +1,7 @@
-"""What every hapticd process does beside its work: how it ends, and what it tells systemd.
+"""Common behaviour of every hapticd process: its end, and its notifications to systemd.
 
-A process dies with its parent, and stops on SIGINT and SIGTERM alike. systemd is told by one
-datagram to the socket that it names; without systemd nothing happens.
+A process ends with its parent, and on SIGINT and SIGTERM alike. systemd receives one datagram on
+the socket that it provides; without systemd nothing is sent.
 
 Signals must be handled in the main thread: Python runs handlers there.
 """
@@ -26,20 +26,20 @@ _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
 
 def die_with_parent(parent_pid: int | None) -> None:
-    """Have the kernel send SIGTERM when the parent ends; end at once if it is gone already.
+    """Let the kernel send SIGTERM when the parent ends; end at once if it has already ended.
 
-    None: a process that was started by itself.
+    None: a process without a parent to follow.
     """
     if parent_pid is None:
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent_pid:  # it ended before the kernel was asked
+    if os.getppid() != parent_pid:  # it ended before the call
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def launch(*words: str, keep: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
-    """`python -m words` in a fresh interpreter, which inherits the descriptors `keep`. Its messages
-    go to our stderr; it is isolated if this process is.
+    """Start `python -m words` in a new interpreter, which inherits the descriptors `keep`. Its
+    output goes to this process's stderr; it is isolated if this process is.
     """
     import subprocess  # a servo starts no process
 
@@ -54,10 +54,8 @@ def launch(*words: str, keep: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
 
 
 def _import_path() -> dict[str, str]:
-    """PYTHONPATH of a child; empty for an installed package.
-
-    -P keeps the working folder out of its imports, so a checkout that is not installed has to be
-    named.
+    """Return PYTHONPATH for a child; empty for an installed package. -P keeps the working folder
+    out of its imports, so the path of an uninstalled checkout must be given.
     """
     root = Path(__file__).parents[2]
     if root.name in ("site-packages", "dist-packages"):
@@ -72,9 +70,9 @@ def on_stop(handler: Callable[[], None]) -> None:
 
 
 def notify(*lines: str) -> None:
-    """Send `lines` to $NOTIFY_SOCKET, if there is one.
+    """Send `lines` to $NOTIFY_SOCKET, if it is set.
 
-    READY=1, STATUS=..., WATCHDOG=1 and STOPPING=1 are what hapticd sends.
+    hapticd sends READY=1, STATUS=..., WATCHDOG=1 and STOPPING=1.
     """
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
@@ -88,12 +86,14 @@ def notify(*lines: str) -> None:
 
 
 def feeding_period_ns() -> int:
-    """A quarter of what systemd's watchdog allows between two WATCHDOG=1; 0 without one."""
+    """Return a quarter of the interval of systemd's watchdog between two WATCHDOG=1; 0
+    without one.
+    """
     return int(os.environ.get("WATCHDOG_USEC", "0")) * NS_PER_US // 4
 
 
 class Feeder:
-    """Feeds the watchdog of a process that calls `feed` often, and no oftener than needed."""
+    """Feed the watchdog of a process that calls `feed` often, and no more often than needed."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -101,7 +101,7 @@ class Feeder:
         self._fed_ns = 0
 
     def feed(self) -> None:
-        """Send WATCHDOG=1 if it is time; nothing without a watchdog."""
+        """Send WATCHDOG=1 if due; nothing without a watchdog."""
         now_ns = self._clock.now_ns()
         if self._period_ns and now_ns - self._fed_ns >= self._period_ns:
             self._fed_ns = now_ns

@@ -1,4 +1,4 @@
-"""Constants and small conversions. SI everywhere above the wire; names carry the unit."""
+"""Constants and small conversions. All values above the wire are in SI; names contain the unit."""
 
 __all__ = [
     "COPPER_PER_K",
@@ -19,20 +19,20 @@ US_PER_S = 1_000_000
 NS_PER_US = 1_000
 NS_PER_MS = 1_000_000
 
-# relative resistance change of copper per kelvin (the paper prints "percent"; 0.393 %/K is meant)
+# relative resistance change of copper per kelvin (the paper prints "percent", and means 0.393 %/K)
 COPPER_PER_K = 0.00393
 PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
 
 
 def round_half_up(value: float) -> int:
-    """Count nearest to `value`, halves upwards: floor(x + 0.5), the one rounding rule of the
-    wire.
+    """Return the count nearest to `value`, halves upwards: floor(x + 0.5), the one rounding rule of
+    the wire.
     """
     return int((value + 0.5) // 1.0)
 
 
 def percent(share: float) -> str:
-    """A share, or a relative change, in words with two digits: 100 %, and never 1e+02 %."""
+    """Return a share, or a relative change, as text with two digits: 100 %, and never 1e+02 %."""
     value = 100.0 * share
     return f"{value:.2g} %" if abs(value) < 99.5 else f"{value:.0f} %"
 
@@ -70,9 +70,9 @@ UNITS = {
     "_a": "A",
     "_v": "V",
     "_c": "degC",
-}  # longest first: the first suffix that fits is the unit
+}  # longest first: the first matching suffix gives the unit
 
 
 def unit_of(name: str) -> str:
-    """Unit that the suffix of a field's name says; empty for a pure number or a word."""
+    """Return the unit in the suffix of a field's name; empty for a pure number or a word."""
     return next((unit for suffix, unit in UNITS.items() if f"_{name}".endswith(suffix)), "")

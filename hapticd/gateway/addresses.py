@@ -1,12 +1,12 @@
-"""Where the gateway listens: two socket files in the runtime folder and one TCP port.
+"""The sockets of the gateway: two socket files in the runtime folder and one TCP port.
 
     ROUTER  ipc://<runtime folder>/command     requests and replies
     XPUB    ipc://<runtime folder>/telemetry   topics, for this machine
-            tcp://127.0.0.1:9872               the same, where PlotJuggler looks for it
+            tcp://127.0.0.1:9872               the same, at the default address of PlotJuggler
 
-The socket files are for user and group only; the folder decides further. Only the default instance
-claims port 9872; where it is taken, any free one serves. With keys the port is the relay's
-(`relay`), which alone speaks CURVE.
+The socket files are accessible to user and group only; the folder may restrict access further. Only
+the default instance claims port 9872; if it is in use, any free port is used. With keys the relay
+(`relay`), the only part with CURVE, serves the port.
 """
 
 import errno
@@ -35,20 +35,21 @@ from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 if TYPE_CHECKING:
     from hapticd.gateway.relay_supervisor import RelaySupervisor
 
-# Linux has 108 bytes for it, the last of which is 0
+# Linux reserves 108 bytes, the last of which is 0
 LONGEST_PATH = 107  # of a socket file
 REPLIES_QUEUED = 200
 MESSAGES_QUEUED = 100  # per subscriber: 2 s
 MAX_SUBSCRIPTION_BYTES = 1024
-# `bind` makes the socket file; this leaves it read and write for user and group
+# `bind` creates the socket file; this mask leaves read and write access for user and group
 SOCKET_UMASK = 0o117
 
 
 class Sockets:
     """Both kinds of socket, bound, watched by `selector`.
 
-    `endpoints` is {command, telemetry: [..], pid}; `warning` is set when telemetry is in the clear;
-    `left` is told of clients of the commands, `gone` of subscribers, whose connections have ended.
+    `endpoints` is {command, telemetry: [..], pid}; `warning` is set if telemetry is unencrypted on
+    a network. `left` and `gone` are called with the identity of a command client or a subscriber
+    whose connection has ended.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Sockets:
             self.telemetry.listen(listener)
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
         endpoints |= {"elsewhere": self.elsewhere} if taken else {}
-        # last: whoever finds this file may connect
+        # last: this file announces that clients can connect
         write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
@@ -104,14 +105,16 @@ class Sockets:
         )
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
-        """End what is due to; warnings of whom the relay refused."""
+        """End connections that are due to end; yield warnings of connections that the relay
+        refused.
+        """
         self.command.tend(now_ns)
         self.telemetry.tend(now_ns)
         if self.relay:
             yield from self.relay.tend(now_ns)
 
     def close(self) -> None:
-        """Close all sockets and remove what says where they were."""
+        """Close all sockets and remove their files."""
         if self.relay:
             self.relay.close()
         self.command.close()
@@ -120,9 +123,9 @@ class Sockets:
 
 
 def listen_at(port: Port, path: Path) -> str:
-    """Have `port` listen at a socket file; its endpoint.
+    """Let `port` listen at a socket file; return its endpoint.
 
-    ConfigError when the path is too long for one, MailboxError when it cannot be made.
+    ConfigError: the path is too long for a socket. MailboxError: the file cannot be created.
     """
     if len(os.fsencode(path)) > LONGEST_PATH:
         raise ConfigError(
@@ -136,22 +139,23 @@ def listen_at(port: Port, path: Path) -> str:
     except OSError as error:
         listener.close()
         raise MailboxError(
-            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
+            f"{path}: {error.strerror}; free some space, correct its permissions"
+            " or remove the obstacle"
         ) from error
     port.listen(listener)
     return f"ipc://{path}"
 
 
 def port_for(params: GatewayParams, instance: str) -> int:
-    """The port to try first; 0 (any free one) for other instances than the default one."""
+    """Return the port to try first; 0 (any free one) for instances other than the default one."""
     usual = params.telemetry_port == GatewayParams().telemetry_port
     return 0 if usual and instance != DEFAULT_INSTANCE else params.telemetry_port
 
 
 def bound_tcp(host: str, port: int) -> socket.socket:
-    """A socket that listens at `port` of `host`, or at any free one if that is taken.
+    """Return a socket that listens at `port` of `host`, or at any free port if that is in use.
 
-    ConfigError if the address is not ours.
+    ConfigError: the address does not belong to this machine.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -165,7 +169,7 @@ def bound_tcp(host: str, port: int) -> socket.socket:
 
 
 def endpoint_of(listener: socket.socket) -> str:
-    """The endpoint of a TCP socket as ZeroMQ writes it."""
+    """Return the endpoint of a TCP socket in the notation of ZeroMQ."""
     host, port, *_ = listener.getsockname()
     # ZeroMQ wants brackets around an IPv6 address
     return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"

@@ -1,18 +1,18 @@
 """Requests in, replies out: no socket, no clock.
 
-A request is unpacked, judged by the interlocks and, if the servo is concerned, posted to its
-command ring; its reply is written when the servo's answer is there and the newest record shows it
-in force, so `state` in a reply is never older than the command. Nobody waits: `serve` takes what
-came, `collect` gives what is due, also the replies to what the servo left unanswered for a second.
-STOP goes first among what came together, skips every interlock, and presses the stop word when
-others are ahead of it in the ring.
+A request is decoded, checked by the interlocks and, if it concerns the servo, posted to the command
+ring. Its reply is written once the servo has answered and the newest record shows the change in
+force. The `state` in a reply is therefore never older than the command. No call waits: `serve`
+takes the requests, and `collect` returns the due replies, with timeouts for commands unanswered for
+1 s. STOP precedes requests that arrived with it and skips every interlock. It also presses the stop
+word if other commands are ahead of it in the ring.
 
-What changes the environment goes past the guard first (`guard.request_queue`), which asks another
-process; all else is posted at once. `guard.outstanding` keeps posted commands until they are
-answered.
+A change of the environment first passes the guard (`guard.request_queue`), which uses another
+process; all other requests are posted at once. `guard.outstanding` keeps posted commands until they
+are answered.
 
-Each request has a deadline. A reply repeats nothing that a client sent but a bounded id and a few
-printable characters.
+Each request has a deadline. A reply repeats only a bounded id and a few printable characters of a
+request.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,22 +64,22 @@ TAKEN_BACK = {
     "enable": Command.DISABLE,
     "home": Command.DISABLE,
     "perturb": Command.PERTURB_STOP,
-}  # what brings force
-# what must not be followed by an enable that was asked before it
+}  # commands that enable a force, with their opposite
+# must not be followed by an enable that was requested earlier
 OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
-# asked by a client that has left since
+# still executed after their client has left
 OBEYED = frozenset({"stop", "disable", "mark", "dump"})
-TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
+TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands also presses the stop word
 PAST_TICK = 1
 IN_FORCE = tuple(one.name for one in fields(InForce))  # of the newest record, in the reply to get
-MOST_QUEUED = 100  # requests that wait for their turn
+MOST_QUEUED = 100  # waiting requests
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
 OVERTAKEN = "a stop followed it; check that it is safe, then ask again"
-OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
+OUTDATED = "the gateway stalled for more than 1 s and dropped this request; repeat it"
 SERVO_ENDED = CommandError(
-    "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
+    "servo_down", "the servo ended before it answered; after its restart it is disabled"
 )
 
 Reply = list[bytes]
@@ -88,7 +88,7 @@ Reply = list[bytes]
 class CommandServer:
     """The command side of the gateway.
 
-    `inquire(cmd)` is the content of the replies to hello and status.
+    `inquire(cmd)` returns the content of the replies to hello, status and dump.
     """
 
     def __init__(
@@ -114,11 +114,11 @@ class CommandServer:
         self._guarded = GuardedQueue(guard, view, self.actors, self._outstanding, self.leases)
         guard.leases = self.leases
         self._queue: list[RequestMessage] = []
-        self._asked_back = (0, 0)  # servo life and revision that it was asked about
+        self._asked_back = (0, 0)  # servo life and revision of the last query
 
     @property
     def waiting(self) -> bool:
-        """Whether answers are due, so that looking often is worth it."""
+        """Whether answers are due, so that frequent polling is worthwhile."""
         return len(self._outstanding) > 0 or self._guarded.waiting
 
     @property
@@ -133,10 +133,11 @@ class CommandServer:
         outdated: bool = False,
         in_time: Callable[[], bool] = lambda: True,
     ) -> list[Reply]:
-        """Take requests that came together, stops first; the replies that can be given at once.
+        """Take requests that arrived together, stops first; return the replies that are ready at
+        once.
 
-        `outdated`: stops alone count. `in_time` is asked after each request whether there is time
-        for another one; those that there is none for wait for the next call.
+        `outdated`: only stops count. `in_time` is called after each request and returns whether
+        there is time for another; the remaining ones wait for the next call.
         """
         self.counts["requests"] += len(messages)
         self._leasing.tend(now_ns)
@@ -144,7 +145,7 @@ class CommandServer:
             self._queue.append(unpacked(message))
             in_time()
         replies = self._overtaken()
-        # the sort is stable: all others keep the order in which they came
+        # the sort is stable: all others keep their order of arrival
         self._queue.sort(key=lambda one: one.cmd != "stop")
         replies += [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
         del self._queue[MOST_QUEUED:]
@@ -156,8 +157,8 @@ class CommandServer:
         return replies
 
     def _overtaken(self) -> list[Reply]:
-        """Refuse resets and scheduled changes that came before a stop: it goes first, so that they
-        would undo or outlive it.
+        """Refuse resets and scheduled changes that arrived before a stop. The stop goes first, so
+        they would undo or outlive it.
         """
         last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
         before = self._queue[:last]
@@ -169,7 +170,7 @@ class CommandServer:
         ]
 
     def collect(self, now_ns: int) -> list[Reply]:
-        """Read the servo's answers; the replies that are due."""
+        """Read the servo's answers; return the replies that are due."""
         lost = self._outstanding.abandon(self._view.life if self._view.mailbox else 0)
         replies = [self._ended(one, SERVO_ENDED) for one in lost]
         self._ask_back()
@@ -177,7 +178,7 @@ class CommandServer:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
-                    # its first answer may have come just before, and is the reply
+                    # its first answer may have arrived just before, and is the reply
                     replies += self._due(now_ns)
                     self._report(scheduled, answer, now_ns)
                 self._guarded.heard(answer)
@@ -191,16 +192,15 @@ class CommandServer:
         return [one for one in replies if one is not None]
 
     def _due(self, now_ns: int) -> list[Reply | None]:
-        """Close what is to be replied to."""
         return [self._closed(one, now_ns) for one in self._outstanding.due(self._view.tick, now_ns)]
 
     def leave(self, client: bytes) -> None:
-        """The connection of `client` is gone, and with it its leases and what waits of it."""
+        """End the leases and drop the waiting requests of `client`, whose connection has ended."""
         actor = self.actors.leave(client)
         self._leasing.leave(actor)
         self._guarded.leave(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
-        if self._view.state is State.DISABLED:  # a suspended servo would take it when it continues
+        if self._view.state is State.DISABLED:  # a suspended servo would read it on resuming
             for message in self._outstanding.asked_by(actor):
                 self._taken_back(message)
 
@@ -220,7 +220,7 @@ class CommandServer:
             )  # fmt: skip
             request = admit(message.plain, actor, situation)
             result = self._answered_here(request, message, actor)
-            self._leasing.tend(now_ns)  # what a lease changes goes before what is asked next
+            self._leasing.tend(now_ns)  # changes by a lease precede the next request
             if result is not None:
                 return self._accepted(message, {"result": result})
             if isinstance(request, GuardRequest):
@@ -280,7 +280,7 @@ class CommandServer:
         return {"samples": self._waveform.load(request, self._view, actor)}
 
     def guard_summary(self) -> dict[str, Any]:
-        """Policy, worker and what is under way, for `status` and the command `guard`."""
+        """Return policy, worker and progress, for `status` and the command `guard`."""
         return self._guard.summary() | self._guarded.summary()
 
     def _change(
@@ -294,7 +294,7 @@ class CommandServer:
         self._guarded.take_back_enables("stop")
         mailbox = self._view.mailbox
         behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
-        # before the ring is tried: the page acts even when the ring is full
+        # before the ring is tried: the stop word acts even when the ring is full
         pressed = behind and self._pressed(actor)
         try:
             self._outstanding.post(message, actor, (Command.STOP, 0, values_of({})), now_ns)
@@ -305,7 +305,7 @@ class CommandServer:
         return None
 
     def _pressed(self, actor: int) -> bool:
-        """Whether the stop word could be pressed and a living servo will look at it."""
+        """Press the stop word; return whether that succeeded."""
         try:
             press_stop(self._view.folder, actor)
         except MailboxError:
@@ -313,10 +313,8 @@ class CommandServer:
         return True
 
     def _ask_back(self) -> None:
-        """Learn the parameters after a restart of the gateway, or when the servo has changed them
-        by itself.
-
-        A set for a tick long past is refused, and the refusal carries them.
+        """Read the parameters after a restart of the gateway, or after the servo has changed them
+        itself. A set for a tick long past is refused, and the refusal contains them.
         """
         view = self._view
         about = view.life, self._guard.in_force.revision
@@ -326,7 +324,6 @@ class CommandServer:
             self._asked_back = self._asked_back if seq is None else about
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
-        """What became of a scheduled change, at its tick."""
         answered = scheduled.change and self._guarded.answered(
             scheduled.change, answer, now_ns, scheduled=True
         )
@@ -334,7 +331,9 @@ class CommandServer:
             self._tell(answered)
 
     def _tell(self, answered: ChangeReply) -> Reply | None:
-        """The reply to a request that went past the guard, or an event once it has its reply."""
+        """Return the reply to a request that the guard handled, or note an event if it already has
+        one.
+        """
         change = answered.change
         verdict = {"guard": change.verdict} if change.verdict else {}
         if change.replied:
@@ -358,7 +357,6 @@ class CommandServer:
         return self._accepted(change.message, body)
 
     def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
-        """`pending` has come to an end without an answer."""
         if pending.change is not None:
             return self._tell(ChangeReply(pending.change, error))
         return self._refused(pending.message, error)
@@ -384,7 +382,9 @@ class CommandServer:
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _taken_back(self, message: RequestMessage) -> bool:
-        """Whether a force that comes when nobody expects it ends in the tick in which it begins."""
+        """Cancel a command whose force would appear unexpectedly, so that it ends in its first
+        tick; return whether that succeeded.
+        """
         kind = TAKEN_BACK.get(message.cmd)
         mailbox = self._view.mailbox
         return (
@@ -410,5 +410,5 @@ class CommandServer:
 
 
 def _outlives_a_stop(message: RequestMessage) -> bool:
-    """Whether it would undo a stop, or act after it."""
+    """Return whether it would undo a stop, or act after it."""
     return message.cmd == "reset" or bool(message.plain.get("at_tick"))

@@ -1,20 +1,21 @@
-"""What leases mean at the servo: the command `lease`, and what follows when one begins or ends.
+"""The effects of leases at the servo: the command `lease`, and the actions when a lease starts or
+ends.
 
-    begins       what others have scheduled of its parts is cancelled; the records name its holder
+    start        scheduled changes of its parts by other clients are cancelled; the records name its
+                 holder
     measuring    the faults force_at_limit and energy are off while it is held, and as configured
-                 when it ends, however that is
-    ends         the perturbation that it covered ends with it; the records say so
-    fails        its holder died or fell silent: what he had scheduled is cancelled too, and
-                 `at_end` says what becomes of the rest: it stays, force goes off, or the
-                 environment, if it was his, goes to 0 on a ramp. Active damping stays in any case
-    taken over   what he had scheduled is cancelled; else whoever takes over finds the display as it
-                 was
+                 after its end, however it ends
+    end          the perturbation that it covered ends with it; the records no longer name a holder
+    failure      the holder died or fell silent: its scheduled changes are cancelled too. `at_end`
+                 selects the rest: hold, force off, or, for a lease of the environment, a ramp to 0.
+                 Active damping stays in any case
+    takeover     scheduled changes of the former holder are cancelled; the display stays as it is
 
-A ramp to 0 needs no verdict: the set in which a display is passive is convex in K, B and M, and 0
-is in it. What is to be done waits here while the servo takes no commands, in order and each once. A
-servo that starts anew is disabled and as configured: what waited for the old one is dropped, and
-the new one is told who holds what. Records that name holders of another gateway are those of one
-that died, with all its connections: their leases have failed, and go as configured.
+A ramp to 0 needs no verdict: the set in which a display is passive is convex in K, B and M and
+contains 0. While the servo takes no commands, actions wait here, in order and each once. A servo
+that restarts is disabled and as configured: actions for the old one are dropped, and the new one
+receives the holders. Records that name holders of another gateway come from a gateway that died
+with all its connections. Those leases count as failed, with the configured `at_end`.
 
 `tend` must be called in every pass, and `heard` with every answer of the servo.
 """
@@ -45,8 +46,8 @@ from hapticd.protocol.schemas import LeaseRequest
 from hapticd.protocol.view import ServoView
 
 FORMER = "a client of the gateway before this one"
-NO_ACTOR = 0  # of whom no client's scheduled changes are kept
-UNANSWERED_NS = NS_PER_S  # after which the servo is told again
+NO_ACTOR = 0  # keeps the scheduled changes of no client
+UNANSWERED_NS = NS_PER_S  # after which an action is posted again
 DAMPING_PLACES = (Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON)
 SCHEDULABLE = {
     ENVIRONMENT: {*PLACES.values(), Value.LIMIT_CYCLE_FAULTS} - {*DAMPING_PLACES, Value.RAMP_S},
@@ -58,7 +59,7 @@ Todo = tuple[Command, int, tuple[float, ...]]  # kind, actor, values
 
 
 class LeaseServer:
-    """The leases of a gateway, in front of the servo of `view`."""
+    """The leases of a gateway, with the servo of `view`."""
 
     def __init__(
         self, view: ServoView, actors: Actors, journal: Journal, params: LeaseParams
@@ -68,17 +69,17 @@ class LeaseServer:
         self._actors = actors
         self._journal = journal
         self._params = params
-        self._todo: dict[Todo, None] = {}  # in the order in which it is to be done
+        self._todo: dict[Todo, None] = {}  # in order
         self._life = 0
-        self._known = False  # whether a record of this life was looked at
-        self._told: int | None = None  # number of the command that the servo has still to answer
+        self._known = False  # whether a record of this life was examined
+        self._told: int | None = None  # number of the command that awaits its answer
         self._told_ns = 0
-        self._shown_tick = 0  # from which the records show what it answered
+        self._shown_tick = 0  # from which the records show the answered command
 
     def answer(self, request: LeaseRequest, actor: int) -> dict[str, Any]:
-        """Obey the command `lease` of `actor`: the result of the reply.
+        """Obey the command `lease` of `actor`; return the result of the reply.
 
-        CommandError: another holds it, or `actor` does not; nothing changed.
+        CommandError: another client holds the lease, or `actor` does not; nothing changed.
         """
         what = request.what
         if request.action == "take":
@@ -94,7 +95,7 @@ class LeaseServer:
         return {"what": what, **self.leases.shown()[what]}
 
     def tend(self, now_ns: int) -> None:
-        """End what is over, and do what is due at the servo."""
+        """End expired leases, and post the actions that are due at the servo."""
         for ended in self.leases.advance(now_ns):
             self._end(ended)
         self._notice_life()
@@ -103,13 +104,13 @@ class LeaseServer:
             self._post(now_ns)
 
     def heard(self, answer: Answer) -> None:
-        """The servo answered something; perhaps us."""
+        """Note an answer of the servo, which may belong to a command of this object."""
         if answer.seq == self._told:
             self._told = None
             self._shown_tick = answer.first_tick
 
     def leave(self, actor: int) -> None:
-        """The connection of `actor` is gone."""
+        """End the leases of `actor`, whose connection has ended."""
         for ended in self.leases.leave(actor):
             self._end(ended)
 
@@ -152,7 +153,7 @@ class LeaseServer:
         self._note(ended)
 
     def _go(self, lease: Lease) -> None:
-        """What becomes of force and environment; nothing is done to the damping."""
+        """Apply `at_end` to force and environment; the damping stays."""
         if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
             self._do(Command.SET, dict.fromkeys(STRENGTH_VALUES, 0.0))
             # again, after the set: ends that would restore force
@@ -178,7 +179,7 @@ class LeaseServer:
             self._do(Command.CANCEL, dict.fromkeys(places, 0.0), keeper)
 
     def _holders(self) -> dict[Value, float]:
-        """Who holds what, as the records say it; 0 is nobody."""
+        """Return the holders as records contain them; 0: not leased."""
 
         def actor(part: str) -> float:
             lease = self.leases.holder(part)
@@ -203,7 +204,7 @@ class LeaseServer:
             self._shown_tick = 0
 
     def _notice_other_gateway(self) -> None:
-        """Leases in the first record of a life are those of a gateway that has died."""
+        """End the leases in the first record of a life: they belong to a gateway that has died."""
         if self._known:
             return
         self._known = True
@@ -218,8 +219,8 @@ class LeaseServer:
                 self._end(Ended(Lease(what, actor, FORMER, 0, self._params.at_end, 0), GONE))
 
     def _post(self, now_ns: int) -> None:
-        """Do what waits, as far as the servo takes it."""
-        if self._view.mailbox is not None:  # no record names it, and the next gateway has to know
+        """Post the waiting actions, as far as the ring has room."""
+        if self._view.mailbox is not None:  # no record contains it, and the next gateway needs it
             lease = self.leases.holder(PERTURBATION)
             self._view.mailbox.perturbation_lease = lease.actor if lease else 0
         waits = self._told is not None and now_ns - self._told_ns < UNANSWERED_NS
@@ -236,8 +237,8 @@ class LeaseServer:
             self._told_ns = now_ns
 
     def _correct(self) -> None:
-        """Tell the servo anew what its newest record does not say: it has started anew, or has the
-        faults on again since force went off.
+        """Correct holders or faults in the newest record that differ from the leases. The servo may
+        have restarted, or have switched the faults on again after force went off.
         """
         record = self._view.record
         holders = self._holders()

@@ -1,20 +1,19 @@
-"""Connections: one kind of socket on its addresses, and the peers that have connected to it.
+"""Connections: the addresses of one kind of socket, and the connected peers.
 
-Nothing here waits, and whatever a peer does is bounded:
+No call waits, and the cost of every peer is bounded:
 
-    peers        MOST_PEERS at an address; who comes there then is closed
+    peers        MOST_PEERS at an address; further ones are closed
     handshake    HANDSHAKE_NS, then the connection ends
-    input        one read of READ_BYTES, then none until that is taken apart; `receive` gives a
-                 counted number of pieces, from each peer in turn, so the kernel's buffers fill and
-                 a flood slows its sender alone
-    messages     as long and of as many parts as the session allows; beyond, the connection ends
-    output       `messages` and QUEUED_BYTES; what comes then is dropped, and its peer alone misses
-                 it
+    input        one read of READ_BYTES, and no further read until that is parsed. `receive` returns
+                 a limited number of messages, from each peer in turn, so a flood fills the kernel's
+                 buffers and slows only its sender
+    messages     length and number of parts as the session allows; beyond, the connection ends
+    output       `messages` and QUEUED_BYTES; further messages are dropped, for that peer alone
 
-That a peer has died the kernel says: at once on this machine; over TCP when its probes or data stay
-unanswered for SILENCE_S. A peer is known by a number that is never used twice.
+The kernel reports a dead peer: at once on this machine; over TCP when its probes or data are
+unanswered for SILENCE_S. A peer is identified by a number that is never reused.
 
-`receive` must be called in every pass: peers that were read from are not looked at again before.
+`receive` must be called in every pass: a peer with unparsed input is not read before that.
 """
 
 import selectors
@@ -39,7 +38,7 @@ WRITE = selectors.EVENT_WRITE
 
 
 class Peer:
-    """One connection: what came and is not taken apart yet, what waits to be sent."""
+    """One connection: its unparsed input and its queued output."""
 
     def __init__(
         self,
@@ -57,8 +56,8 @@ class Peer:
         self.queue: deque[bytes] = deque()
         self.queued = 0  # bytes
         self.sent = 0  # bytes of the first one
-        self.full = False  # read from and not taken apart
-        self.watched = 0  # the events that the selector is asked for
+        self.full = False  # with unparsed input
+        self.watched = 0  # registered events
 
     def put(self, data: bytes) -> None:
         """Queue `data`."""
@@ -66,7 +65,7 @@ class Peer:
         self.queued += len(data)
 
     def flush(self) -> None:
-        """Send what the kernel takes. OSError: the peer is gone."""
+        """Send as much as the kernel accepts. OSError: the connection has ended."""
         while self.queue:
             first = self.queue[0]
             try:
@@ -82,8 +81,8 @@ class Peer:
 class Port:
     """The peers of one kind of socket (`zmtp.PARTNERS`), watched by `selector`.
 
-    `longest`: bytes of a message that is taken; `messages`: how many wait for a peer at most;
-    `gone` is told the identity of each peer that was there.
+    `longest`: maximum bytes of a message; `messages`: maximum queued for a peer; `gone` is called
+    with the identity of each peer whose connection ended.
     """
 
     def __init__(
@@ -106,7 +105,7 @@ class Port:
         self._now_ns = 0
 
     def listen(self, listener: socket.socket) -> None:
-        """Take connections at `listener`, which is bound."""
+        """Accept connections at `listener`, which is bound."""
         listener.setblocking(False)
         listener.listen(MOST_PEERS)
         self._listeners.append(listener)
@@ -118,18 +117,18 @@ class Port:
 
     @property
     def busy(self) -> bool:
-        """Whether something came that is not taken apart yet."""
+        """Whether there is unparsed input."""
         return bool(self._full)
 
     def tend(self, now_ns: int) -> None:
-        """Note the time; end what has not introduced itself in time."""
+        """Note the time; end connections whose handshake is overdue."""
         self._now_ns = now_ns
         for peer in list(self._peers.values()):
             if not peer.session.ready and peer.deadline_ns <= now_ns:
                 self._drop(peer)
 
     def receive(self, most: int) -> list[tuple[bytes, Message]]:
-        """(identity, message) from up to `most` pieces of what has come, each peer in turn."""
+        """Return (identity, message) from up to `most` pieces of the input, each peer in turn."""
         found = []
         for _ in range(most):
             if not self._full:
@@ -146,7 +145,7 @@ class Port:
         return found
 
     def send(self, identity: bytes, data: bytes) -> bool:
-        """Queue the bytes of a message; whether its peer is there and has room for it."""
+        """Queue the bytes of a message; return whether its peer is connected and has room."""
         peer = self._peers.get(identity)
         room = (
             peer is not None
@@ -172,7 +171,7 @@ class Port:
         for _ in range(ACCEPTED_AT_ONCE):
             try:
                 connection, _ = listener.accept()
-            except OSError:  # none is there, or it is gone already, or we have no descriptor left
+            except OSError:  # none waits, or it has ended, or no descriptor is left
                 return
             if self._guests(listener) < MOST_PEERS:
                 self._welcome(connection, listener)
@@ -180,7 +179,7 @@ class Port:
                 connection.close()
 
     def _guests(self, listener: socket.socket) -> int:
-        """How many peers came to `listener`: a crowd at one address leaves the others free."""
+        """Return the number of peers at `listener`: a full address leaves the others free."""
         return sum(peer.came_to is listener for peer in self._peers.values())
 
     def _welcome(self, connection: socket.socket, listener: socket.socket) -> None:
@@ -216,7 +215,7 @@ class Port:
         self._watch(peer)
 
     def _taken(self, peer: Peer) -> Message | None:
-        """What `peer` says next; None also when it had to be dropped."""
+        """Return the next message of `peer`; None also when it had to be dropped."""
         if peer.identity not in self._peers:
             return None
         try:
@@ -228,7 +227,6 @@ class Port:
         return message
 
     def _answer(self, peer: Peer) -> None:
-        """Send what the session has to say, unless its peer reads nothing."""
         while peer.session.outgoing:
             answer = peer.session.outgoing.pop(0)
             if len(peer.queue) < self._messages:
@@ -243,7 +241,7 @@ class Port:
         self._watch(peer)
 
     def _watch(self, peer: Peer) -> None:
-        """Ask the selector for what matters now: input if there is room, output if some waits."""
+        """Register for input if there is room, and for output if some is queued."""
         if peer.identity not in self._peers:
             return
         wanted = (0 if peer.full else READ) | (WRITE if peer.queue else 0)
@@ -269,7 +267,7 @@ class Port:
 
 
 def _notice_death(connection: socket.socket) -> None:
-    """Have the kernel end a TCP connection whose other end is silent for SILENCE_S."""
+    """Let the kernel end a TCP connection whose other end is silent for SILENCE_S."""
     tcp = socket.IPPROTO_TCP
     connection.setsockopt(tcp, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

@@ -1,7 +1,7 @@
 """The telemetry side of the gateway: records in, [topic, payload] out. No socket, no clock.
 
-Every record is looked at once, for histograms and events; a topic is encoded only while someone
-subscribes to it. The topic `state` is the servo's state in words; `Transitions` finds every change
+Every record is examined once, for histograms and events; a topic is encoded only while it has a
+subscriber. The topic `state` describes the servo's state in words; `Transitions` finds every change
 of state or fault in a block of records, however short it was.
 """
 
@@ -66,13 +66,13 @@ NEWS = (
 )  # a change of one of these is published at once
 
 
-DELAY_TICKS = 256  # of which the state tells the delay; `delay_spread_us` is of as many
-LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # somebody waits for a change of these
-EARLY_NS = 20 * NS_PER_MS  # between two blocks that leave before they are whole
+DELAY_TICKS = 256  # for the delay in `state`; `delay_spread_us` covers as many
+LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # users wait for these changes
+EARLY_NS = 20 * NS_PER_MS  # between two blocks that are sent before they are complete
 
 
 def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> dict[str, Any]:
-    """Everything a lamp, a title bar or a late joiner needs to know."""
+    """Return the content of the topic `state`, without guard and delivered damping."""
     mailbox = view.mailbox
     record = view.record
     fault = view.fault
@@ -86,7 +86,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "revision": view.revision,
         "fault": fault.code,
         **described(fault),
-        "waiting_for": view.report().get("waiting_for", ""),  # its board, if it has none
+        "waiting_for": view.report().get("waiting_for", ""),  # why there is no board
         "instance": view.params.instance,
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
@@ -103,9 +103,9 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
 
 
 def usual_delays(records: Records) -> dict[str, int]:
-    """Delay and age of the frame, us, that 99 of 100 of `records` do not exceed; -1 if unknown.
+    """Return the 99th percentile of delay and frame age of `records`, us; -1 if unknown.
 
-    While frames are lost, each tick alone has another delay, or none.
+    While frames are lost, the delay of a single tick may differ or be unknown.
     """
     found = {}
     for name in ("delay_us", "frame_age_us"):
@@ -115,7 +115,7 @@ def usual_delays(records: Records) -> dict[str, int]:
 
 
 def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
-    """Which faults that end a limit cycle are on; why one is off."""
+    """Return "on" for each fault that ends a limit cycle, or the reason why it is off."""
     device = view.params.device
     unknown = {
         Watched.OVERSPEED: device.overspeed_m_per_s is None,
@@ -136,7 +136,7 @@ def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
 
 
 def commissioning(view: ServoView) -> dict[str, Any] | None:
-    """What is allowed until the signs of the device are verified; None once they are."""
+    """Return the restrictions until the signs of the device are verified; None once they are."""
     if not view.params.device.commissioning:
         return None
     return {
@@ -146,17 +146,17 @@ def commissioning(view: ServoView) -> dict[str, Any] | None:
 
 
 def described(fault: Fault) -> dict[str, str]:
-    """Cause, action and remedy of a fault."""
+    """Return cause, action and remedy of a fault."""
     return {"cause": fault.cause, "action": fault.action, "remedy": fault.remedy}
 
 
 def news(view: ServoView) -> tuple[Any, ...]:
-    """What is compared to see whether the state has changed."""
+    """Return the values whose change is published at once."""
     return view.alive, view.life, *(view.record.get(name) for name in NEWS)
 
 
 class Transitions:
-    """Follows states and faults from block to block and notes every change with its tick."""
+    """Follow states and faults from block to block, and note every change with its tick."""
 
     def __init__(self, view: ServoView, actors: Actors, journal: Journal) -> None:
         self._view = view
@@ -181,13 +181,13 @@ class Transitions:
         before_faults = np.concatenate(([self._last[1]], faults[:-1]))
         for place in np.flatnonzero((states != before_states) | (faults != before_faults)).tolist():
             self._note(block.records[place], int(before_states[place]))
-        # a block may say only that records were lost
+        # a block may contain only a number of lost records
         if len(states):
             self._last = int(states[-1]), int(faults[-1])
             self._control(block.records)
 
     def _control(self, records: Records) -> None:
-        """Note what the energy controller changed: it is nobody's change, and its flag is set."""
+        """Note changes by the energy controller: they have actor 0 and its flag is set."""
         changes = records["environment_revision"]
         before = np.concatenate(([self._changes], changes[:-1]))
         own = (changes != before) & (records["actor"] == 0)
@@ -230,9 +230,9 @@ Message = tuple[str, bytes]  # topic, payload
 
 
 class Publisher:
-    """Turns what the servo writes into messages.
+    """Turn the servo's records into messages.
 
-    `messages` is called at least every few milliseconds.
+    `messages` must be called at least every few milliseconds.
     """
 
     def __init__(
@@ -254,7 +254,7 @@ class Publisher:
         self.feed = Feed(view, setup.gateway.batch)
         realtime = setup.servo.realtime
         self.times = TickTimes(realtime.grace_s, realtime.rate_hz)
-        self._judged = False  # whether a tick leaves room
+        self._judged = False  # whether the room of a tick was judged
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -269,13 +269,13 @@ class Publisher:
         self._news: tuple[Any, ...] = ()
         self._lamps: tuple[Any, ...] = ()
         self._early_ns = -EARLY_NS
-        # so that the first look is due at once
+        # the first one is due at once
         self._state_ns = -STATE_PERIOD_NS
 
     def subscribe(self, listener: bytes, message: bytes, unix_ns: int) -> list[Message]:
-        """Note a subscription of `listener` or its end; what it is to be sent at once.
+        """Note a subscription of `listener` or its end; return the messages to send at once.
 
-        Whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon.
+        A new subscriber of `state` gets it at once, one of `flight` gets a checkpoint soon.
         """
         topics = self._audience.setdefault(listener, Subscriptions()).take(message)
         if "flight" in topics:
@@ -283,20 +283,21 @@ class Publisher:
         return [self._state(unix_ns)] if "state" in topics else []
 
     def leave(self, listener: bytes) -> None:
-        """`listener` has gone."""
+        """Forget `listener`, whose connection has ended."""
         self._audience.pop(listener, None)
 
     def listeners(self, topic: str) -> list[bytes]:
-        """Who wants `topic`."""
+        """Return the subscribers of `topic`."""
         return [name for name, asked in self._audience.items() if topic in asked.wanted]
 
     @property
     def _wanted(self) -> frozenset[str]:
-        """Topics that somebody asks for."""
         return frozenset().union(*(asked.wanted for asked in self._audience.values()))
 
     def urgent(self, now_ns: int) -> bool:
-        """Whether a lamp changes, so that `messages` should not wait for a whole batch."""
+        """Return whether a lamp has changed, so that `messages` should not wait for a
+        whole batch.
+        """
         may = bool(self._lamps) and now_ns - self._early_ns >= EARLY_NS
         return may and self._view.alive and self._shown() != self._lamps
 
@@ -305,7 +306,7 @@ class Publisher:
         return tuple(value if value == value else None for value in values)  # unknown stays so
 
     def messages(self, now_ns: int, unix_ns: int, ended: bool = False) -> list[Message]:
-        """Everything that is due; of a servo that has `ended` all that it left."""
+        """Return all messages that are due; for a servo that has `ended`, everything it left."""
         self._notice_servo()
         early = ended or self.urgent(now_ns)
         self._early_ns = now_ns if early else self._early_ns
@@ -316,7 +317,7 @@ class Publisher:
         if noted and "flight" in wanted:
             found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
         for block in self.feed.take(now_ns, early):
-            # whether or not anyone subscribes: statistics and events miss no record
+            # statistics and events use every record, with or without subscribers
             self.times.add(block.records)
             self._guard.count(block.records, block.life)
             self._transitions.follow(block)
@@ -357,7 +358,6 @@ class Publisher:
             )
 
     def _judge_room(self) -> None:
-        """Warn once that a tick leaves too little of its period."""
         if self._judged or self.times.count < ENOUGH:
             return
         self._judged = True
@@ -366,7 +366,7 @@ class Publisher:
             self._journal.note("warning", text=room.text, **asdict(room))
 
     def _follow_damping(self, block: RingBlock) -> None:
-        """Too little of the active damping is delivered: warn, and end force where it is needed."""
+        """Warn if too little active damping is delivered, and request the fault if it is needed."""
         for low in self._delivered.take(block.records):
             if low.warn:
                 self._journal.note("warning", text=low.text)
@@ -386,7 +386,7 @@ class Publisher:
         if "probe" in wanted:
             found += [("probe", payload) for payload in self._probe.messages(block, self._origin)]
         else:
-            # the pause while nobody listened is no gap
+            # a pause without subscribers is not a gap
             self._probe.forget()
         return found
 
@@ -402,11 +402,11 @@ class Publisher:
         return "state", _packed(self.state(unix_ns))
 
     def state(self, unix_ns: int) -> dict[str, Any]:
-        """The topic `state`."""
+        """Return the topic `state`."""
         return self.without_guard(unix_ns) | {"guard": self._guard.summary()}
 
     def without_guard(self, unix_ns: int) -> dict[str, Any]:
-        """The topic `state` but for what the guard tells."""
+        """Return the topic `state` without the summary of the guard."""
         found = state_map(self._view, self._actors, self._leases, unix_ns)
         return found | {"delivered_active_damping": self._delivered.estimate._asdict()}
 

@@ -1,21 +1,21 @@
-"""The relay: telemetry for other computers, in a process of its own.
+"""The relay: telemetry for other computers, in a separate process.
 
     python -m hapticd.gateway.relay KEYS SOURCE ENDPOINT --listener FD --line FD
 
-It subscribes at SOURCE, the gateway's socket file, to what its own listeners ask for, and passes
-that on to those who connect to ENDPOINT and prove a key that the folder KEYS knows. CURVE is
-libzmq's (RFC 26), which asks here whether a key is known (ZAP, RFC 27) and refuses everybody when
-nobody answers. The gateway keeps the other end of the line FD: it hears who was refused and how
-many are there, and when it closes the line this process ends.
+It subscribes at SOURCE, the gateway's socket file, to the topics that its own subscribers want. It
+forwards them to the clients that connect to ENDPOINT and prove a key in the folder KEYS. libzmq
+implements CURVE (RFC 26). It queries this process for each key (ZAP, RFC 27), and refuses every
+client without an answer. The gateway keeps the other end of the line FD. It receives the refusals
+and the number of connections, and this process ends when the gateway closes the line.
 
-It is a process because libzmq bounds neither the connections nor the memory that somebody outside
-can have it take, and ends a process rather than go on without (ADR-0020). The kernel bounds
-both, for this process alone: MOST_DESCRIPTORS, MOST_MEMORY; it yields to the gateway by NICENESS,
-and the gateway starts it anew when it ends.
+A separate process is needed because libzmq limits neither the connections nor the memory that a
+remote host can use. It aborts the process when they run out (ADR-0020). The kernel limits both for
+this process alone: MOST_DESCRIPTORS, MOST_MEMORY. It yields to the gateway by NICENESS, and the
+gateway restarts it when it ends.
 
-What goes inwards is a subscription and nothing else: one part, LONGEST_SUBSCRIPTION bytes.
+Only subscriptions pass inwards: one part, LONGEST_SUBSCRIPTION bytes.
 
-It must import only what it needs (memory), and wait in the poll alone.
+It must import only the necessary modules (memory), and wait only in the poll.
 """
 
 import argparse
@@ -41,15 +41,15 @@ from hapticd.guard.worker import LENGTH
 from hapticd.protocol import zmq_monitor
 from hapticd.protocol.keys import Clients, server_pair
 
-MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and what the process itself needs
-MOST_MEMORY = 256 << 20  # bytes of data; at rest it has some 60 MB, threads' stacks included
+MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and those of the process itself
+MOST_MEMORY = 256 << 20  # bytes of data; about 60 MB at rest, with the stacks of threads
 NICENESS = 10
-RELAYED_QUEUED = 100  # messages per listener: 2 s
+RELAYED_QUEUED = 100  # messages per subscriber: 2 s
 LONGEST_RELAYED = 1 << 22  # bytes of a part of a message
 LONGEST_SUBSCRIPTION = 1024
 AT_ONCE = 100  # messages of one socket before the others have their turn
 LOOK_MS = 500
-NEWS_S = 5.0  # between two reports of refusals, which come as often as somebody likes
+NEWS_S = 5.0  # between two reports of refusals, whose rate a remote host determines
 MOST_REASONS = 16  # in one report
 EVENTS = (
     zmq.EVENT_ACCEPTED
@@ -64,21 +64,21 @@ REASONS: dict[int, str] = {
 
 
 class Connections:
-    """Who is connected from where, and who was refused, by the events of libzmq's monitor.
+    """Connected addresses and refusals, from the events of libzmq's monitor.
 
-    A failed handshake is told without an address; the end of its connection comes next, by its
-    descriptor, whose address was noted when it began. One that ended before that has none.
+    The event of a failed handshake has no address. The end of its connection follows, with the
+    descriptor, whose address was noted at the start. A connection that ended before that has none.
     """
 
     def __init__(self) -> None:
         self._addresses: dict[int, str] = {}
-        self._failed = ""  # why the connection fails that ends next
+        self._failed = ""  # why the next connection to end has failed
         self.refused: Counter[tuple[str, str]] = Counter()  # (address, why) since the last report
         self.total = 0  # refusals
 
     @property
     def connected(self) -> int:
-        """How many connections there are, in their handshake or after it."""
+        """Number of connections, during or after their handshake."""
         return len(self._addresses)
 
     def take(self, event: int, value: int) -> None:
@@ -103,8 +103,8 @@ class Connections:
 
 
 def address_of(descriptor: int) -> str:
-    """The address of the other end; empty where the connection has ended meanwhile, also if its
-    number is another socket's by now.
+    """Return the address of the other end; empty if the connection has ended, or if its descriptor
+    now belongs to another socket.
     """
     try:
         with socket.socket(fileno=os.dup(descriptor)) as connection:
@@ -115,9 +115,9 @@ def address_of(descriptor: int) -> str:
 
 
 class Relay:
-    """Sockets of the relay; `tell` takes a report for the gateway.
+    """Sockets of the relay; `tell` sends a report to the gateway.
 
-    ConfigError: the keys are incomplete, or the server's is readable by others.
+    ConfigError: the keys are incomplete, or the server's key is readable by others.
     """
 
     def __init__(
@@ -157,8 +157,8 @@ class Relay:
             zmq.TCP_KEEPALIVE_IDLE: PROBE_S,
             zmq.TCP_KEEPALIVE_INTVL: PROBE_S,
             zmq.TCP_KEEPALIVE_CNT: SILENCE_S // PROBE_S,
-            # never held back, and no heartbeats: a peer that dies while its input is held back
-            # makes libzmq abort: https://github.com/zeromq/libzmq/issues/4364
+            # no input limit and no heartbeats: libzmq aborts if a peer dies while its input is
+            # held back: https://github.com/zeromq/libzmq/issues/4364
             zmq.RCVHWM: 0,
         }
         for option, value in options.items():
@@ -166,17 +166,17 @@ class Relay:
         return relayed
 
     def _guard_offer(self) -> None:
-        """Demand CURVE and a known key of whoever connects."""
+        """Require CURVE and a known key from every client."""
         self._offer.curve_publickey, self._offer.curve_secretkey = server_pair(self._keys)
         self._offer.curve_server = True
         self._offer.zap_domain = b"hapticd"
-        # without it libzmq lets everybody in when nobody answers for the keys
+        # without it libzmq accepts every client if ZAP does not answer
         self._offer.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
-        # every subscription is passed on, not the first alone: late joiners get `state`
+        # forward every subscription, not only the first: late subscribers get `state`
         self._offer.setsockopt(zmq.XPUB_VERBOSE, 1)
 
     def run(self, line: socket.socket) -> None:
-        """Pass on until the gateway closes `line`."""
+        """Forward messages until the gateway closes `line`."""
         attend = {
             self._source: self._pass_outwards,
             self._offer: self._pass_inwards,
@@ -202,7 +202,6 @@ class Relay:
             self._source.send(message, zmq.NOBLOCK)
 
     def _judge(self) -> None:
-        """Answer whether a key is known."""
         asked = self._zap.recv_multipart(zmq.NOBLOCK)
         _version, number, _domain, address, _identity, mechanism, *credentials = asked
         key = z85.encode(credentials[0]) if mechanism == b"CURVE" and credentials else b""
@@ -217,7 +216,7 @@ class Relay:
         self._connections.take(*zmq_monitor.take(self._monitor))
 
     def _report(self) -> None:
-        """Tell the gateway what changed, and once that all is well: counts at most every LOOK_MS,
+        """Report changes to the gateway, and one first report: counts at most every LOOK_MS,
         refusals every NEWS_S.
         """
         at_s = time.monotonic()
@@ -242,7 +241,6 @@ class Relay:
 
 
 def _some(attend: Callable[[], None]) -> None:
-    """Attend to what has come, to AT_ONCE messages at most."""
     for _ in range(AT_ONCE):
         try:
             attend()
@@ -251,7 +249,7 @@ def _some(attend: Callable[[], None]) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Relay until the other end of the line closes; the exit code."""
+    """Relay until the other end of the line closes; return the exit code."""
     parser = argparse.ArgumentParser(prog="relay", allow_abbrev=False)
     parser.add_argument("keys", type=Path)
     parser.add_argument("source")
@@ -261,7 +259,7 @@ def main(arguments: list[str]) -> int:
     asked = parser.parse_args(arguments)
     _limit()
     line = socket.socket(fileno=asked.line)
-    line.settimeout(1.0)  # a gateway that takes no report for so long passes on nothing either
+    line.settimeout(1.0)  # a gateway that reads no report for 1 s sends no telemetry either
 
     def tell(report: dict[str, Any]) -> None:
         data = bytes(msgpack.packb(report))
@@ -274,11 +272,11 @@ def main(arguments: list[str]) -> int:
         tell({"ended": str(error)})
         return error.exit_code
     relay.run(line)
-    os._exit(0)  # what its threads still hold for listeners is nothing that is waited for
+    os._exit(0)  # do not wait for messages still queued in libzmq's threads
 
 
 def _limit() -> None:
-    """What whoever is outside can have this process take."""
+    """Limit the resources that remote hosts can make this process use."""
     resource.setrlimit(resource.RLIMIT_NOFILE, (MOST_DESCRIPTORS, MOST_DESCRIPTORS))
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY, MOST_MEMORY))
     os.nice(NICENESS)

@@ -1,7 +1,8 @@
-"""The gateway's end of the relay (`relay`): starts it, starts it again, and hears whom it refused.
+"""The gateway's side of the relay (`relay`): it starts and restarts the relay, and reports
+refusals.
 
-The listening socket stays here: what connects while there is no relay waits for the next one, and
-the port is the same. The line and the process are those of `worker`, with another program.
+The listening socket stays in the gateway: connections made without a relay wait for the next one,
+and the port stays the same. Line and process are those of `worker`, with another program.
 """
 
 import selectors
@@ -21,10 +22,10 @@ MODULE = "hapticd.gateway.relay"
 
 
 class RelaySupervisor:
-    """Telemetry of the endpoint `source`, offered by `listener` at `endpoint`, for those with a key
-    that the folder `keys` knows.
+    """Telemetry of the endpoint `source`, offered by `listener` at `endpoint`, to clients with a
+    key in the folder `keys`.
 
-    ConfigError: the keys are incomplete, or the server's is readable by others.
+    ConfigError: the keys are incomplete, or the server's key is readable by others.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class RelaySupervisor:
         self._relay = Worker(self._start, selector, "")
         self._process: subprocess.Popen[bytes] | None = None
         self._seen: dict[str, Any] = {"connected": 0, "refused": 0, "unreadable": {}}
-        self._trouble = ""  # of the relay, that was told
+        self._trouble = ""  # the last reported one
 
     def _start(self, line: socket.socket) -> "subprocess.Popen[bytes]":
         passed = (line.fileno(), self._listener.fileno())
@@ -54,8 +55,8 @@ class RelaySupervisor:
         return self._process
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
-        """Start the relay if it is due; warnings of whom it refused, of keys that it cannot read,
-        and of its end, as the journal has them.
+        """Start the relay if due; yield warnings for the journal. They cover refused clients,
+        unreadable keys and the end of the relay.
         """
         self._relay.tend(now_ns)
         for report in self._relay.answers():
@@ -68,7 +69,6 @@ class RelaySupervisor:
             yield from self._ended(f"the relay ended, exit code {code}")
 
     def _took(self, report: dict[str, Any]) -> Iterator[dict[str, Any]]:
-        """Warnings of what a relay that serves has said."""
         self._trouble = ""
         known = self._seen["unreadable"]
         self._seen = {name: report[name] for name in self._seen}
@@ -79,14 +79,14 @@ class RelaySupervisor:
             yield {"text": refusal(address, why, times), "address": address, "times": times}
 
     def _ended(self, why: str) -> Iterator[dict[str, Any]]:
-        """That the relay has ended, once for each reason; it is started again."""
+        """Yield a warning that the relay has ended, once for each reason; it is restarted."""
         if why != self._trouble:
             self._trouble = why
             yield {"text": f"no telemetry for other computers: {why}"}
 
     def summary(self) -> dict[str, Any]:
-        """For `status`: whether the relay is up, why not, its process, connections, refusals so
-        far, files of keys that it cannot read.
+        """Return the part of `status` about the relay. It has the state of the relay, its trouble,
+        its process, connections, refusals so far and unreadable key files.
         """
         pid = self._process.pid if self._process else None
         state = {"relay": self._relay.state, "trouble": self._trouble, "pid": pid}
@@ -101,7 +101,7 @@ class RelaySupervisor:
 
 
 def refusal(address: str, why: str, times: int) -> str:
-    """What is said of somebody who was not let in."""
+    """Return the warning about a refused client."""
     often = f", {times} times" if times > 1 else ""
     return (
         f"telemetry refused to {address or 'somebody'}: {why}{often}; who may listen is made known"

@@ -1,19 +1,18 @@
-"""The gateway process: its one loop.
+"""The gateway process: its event loop.
 
 A client that stops reading fills its own queue and loses messages; one that sends too much at once
-is cut off, or read later; one that dies is forgotten (`peers`).
+is disconnected, or read later; one that dies is forgotten (`peers`).
 
-One pass of the loop: tell the servo that the gateway lives, look at what has come, serve up to 20
-requests (stops first), give the replies that are due, note subscriptions, and every 10 ms publish
-what the ring holds. Requests and subscriptions share a budget of PASS_NS: what there is no time
-for waits for the next pass, and the servo is told between any two of them that the gateway lives.
-A pass waits for a socket at most 10 ms; while answers of the servo are outstanding it looks again
-after 0.25 ms. When a lamp of somebody's page changes, which is state, fault or the damping that the
-board reports, it publishes at once, and for 5 ms after a receipt it looks for that every
-millisecond. Sends never wait.
+One pass of the loop writes the heartbeat, reads the sockets, serves up to 20 requests (stops
+first), sends due replies and notes subscriptions. Every 10 ms it publishes the content of the ring.
+Requests and subscriptions share a budget of PASS_NS; the rest waits for the next pass. The
+heartbeat is written between any two of them. A pass waits for a socket at most 10 ms; while answers
+of the servo are outstanding it polls again after 0.25 ms. A change of a lamp of the page (state,
+fault or the reported damping) is published at once. For 5 ms after a receipt the loop checks for
+one every millisecond. Sends never block.
 
-No request or publication may take longer than the servo's patience with the heartbeat (1 s). A
-folder has one gateway: the claim is taken before anything is bound.
+No request or publication may take longer than the servo's timeout of the heartbeat (1 s). A folder
+has one gateway: the claim is taken before any socket is bound.
 """
 
 import hashlib
@@ -48,20 +47,20 @@ from hapticd.protocol.view import ServoView
 __all__ = ["run"]
 
 DRAIN_MS = 10
-PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer
-WATCHFUL_MS = 1  # instead of 10, for so long after a receipt: the board reports a tick or two later
+PEEK_NS = 250 * NS_PER_US  # between polls for an outstanding answer
+WATCHFUL_MS = 1  # instead of 10, after a receipt: the board reports one or two ticks later
 WATCHFUL_NS = 5 * NS_PER_MS
 REQUESTS_PER_PASS = 20
 SUBSCRIPTIONS_PER_PASS = 100
-PASS_NS = 20 * NS_PER_MS  # for requests and subscriptions; the one that is under way ends
-STANDSTILL_NS = NS_PER_S  # a pass that comes so late finds requests whose senders have given up
+PASS_NS = 20 * NS_PER_MS  # for requests and subscriptions; the current one is completed
+STANDSTILL_NS = NS_PER_S  # after a longer pause the senders of waiting requests have given up
 SETTLING_NS = 100 * NS_PER_MS  # until all of them are read
 
 
 class GatewayServer:
     """One gateway in one runtime folder.
 
-    MailboxError: another one is there; ConfigError: an address or key is wrong.
+    MailboxError: another gateway is running; ConfigError: an address or key is invalid.
     """
 
     def __init__(
@@ -86,7 +85,7 @@ class GatewayServer:
                 self._journal.note("warning", text=warning)
 
     def _open(self, folder: Path, start_worker: Start | None, opened: ExitStack) -> None:
-        """Take the folder and make all parts; `opened` gets what the end closes, last one first."""
+        """Claim the folder and create all parts; `opened` closes them in reverse order."""
         setup = self._setup
         claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
         opened.callback(files.release, folder, files.GATEWAY_LOCK, claim)
@@ -118,28 +117,28 @@ class GatewayServer:
 
     @property
     def foreign(self) -> str:
-        """Hash of the configuration of a servo that runs another one; empty if none does."""
+        """Hash of a servo's configuration that differs from this gateway's; empty if none does."""
         return self._view.foreign
 
     def step(self, wait_ms: int = DRAIN_MS) -> None:
-        """One pass of the loop; waits at most `wait_ms` for something to do."""
+        """Run one pass of the loop; wait at most `wait_ms` for input."""
         self._await(wait_ms)
         now_ns = self._clock.now_ns()
         self._deadline_ns = now_ns + PASS_NS
-        if self._view.ended:  # what it left tells whether it ended without force
+        if self._view.ended:  # its last records show whether it ended without force
             self._view.look()
             self._publish(self._publisher.messages(now_ns, self._unix_ns(), ended=True))
         self._view.refresh(now_ns)
         if now_ns - self._passed_ns > STANDSTILL_NS:
             self._settled_ns = now_ns + SETTLING_NS
         self._passed_ns = now_ns
-        # before the requests: whatever they cost, the servo has its heartbeat
+        # before the requests: the heartbeat does not depend on their duration
         self._in_time()
         for refused in self._sockets.tend(now_ns):
             self._journal.note("warning", **refused)
         self._serve(now_ns)
         self._note_subscriptions()
-        # 1 ms of slack: a pass just short of 10 ms must not put it off for another 10
+        # 1 ms of slack: a pass just short of 10 ms must not delay it by another 10 ms
         due = now_ns - self._drained_ns >= (DRAIN_MS - 1) * NS_PER_MS
         if due or self._publisher.urgent(now_ns):
             self._drained_ns = now_ns
@@ -147,7 +146,6 @@ class GatewayServer:
             self._in_time()
 
     def _await(self, wait_ms: int) -> None:
-        """Wait until something has come or is due, and read what has come."""
         sockets = self._sockets
         if sockets.command.busy or sockets.telemetry.busy or self._commands.queued:
             wait_ms = 0
@@ -160,7 +158,7 @@ class GatewayServer:
             key.data(mask)
 
     def _in_time(self) -> bool:
-        """Tell the servo that the gateway lives; whether this pass has time for more."""
+        """Write the heartbeat; return whether this pass has time for more."""
         now_ns = self._clock.now_ns()
         if self._view.mailbox:
             self._view.mailbox.beat(now_ns)
@@ -235,7 +233,7 @@ class GatewayServer:
         }
 
     def close(self) -> None:
-        """Close the sockets, give up the claim."""
+        """Close the sockets and release the claim."""
         self._opened.close()
 
 
@@ -251,11 +249,12 @@ def run(
     on_ready: Callable[[], None] = lambda: None,
     start_worker: Start | None = None,
 ) -> None:
-    """Serve until `should_stop()`, asked once a pass (every 10 ms at least), with the configuration
-    that `read()` gives: at the start, and again when the servo has started with another one.
-    `start_worker` starts the guard's worker.
+    """Serve until `should_stop()`, which is called every pass (at least every 10 ms).
 
-    MailboxError, ConfigError: it can not begin.
+    `read()` returns the configuration, at the start and again when the servo has started with
+    another one. `start_worker` starts the guard's worker.
+
+    MailboxError, ConfigError: it cannot start.
     """
     setup: GatewaySetup | None = read()
     while setup is not None:
@@ -271,7 +270,7 @@ def run(
 
 
 def _renewed(gateway: GatewayServer, read: Callable[[], GatewaySetup]) -> GatewaySetup | None:
-    """The configuration of a servo that runs another one than `gateway`, if it can be read."""
+    """Return the configuration of a servo that differs from `gateway`'s, if it can be read."""
     if not gateway.foreign:
         return None
     try:

@@ -1,14 +1,14 @@
-"""How long the ticks of a servo life took: each stage, and the late ticks by cause.
+"""Durations of the ticks of a servo life: each stage, and the late ticks by cause.
 
-Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a decade from
-10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. A record tells whether the tick
-before it was late, and by which cause (`mailbox.layout.LateCause`). The first seconds after the
-start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a histogram
-cannot show what did not happen.
+The duration of each stage is counted in a histogram with logarithmic bins: 40 bins a decade from 10
+ns to 100 ms, so a percentile is exact to 6 %, whatever its size. A record contains the cause if the
+tick before it was late (`mailbox.layout.LateCause`). The first seconds after the start (`grace_s`)
+are left out. Late events and lost slots are counters of the servo; a histogram cannot show missing
+ticks.
 
-A tick takes the sum of the medians of its stages but the wake-up, transfers included. Below a
-quarter of its period left the daemon warns, once for each life of the servo, and names the highest
-rate that leaves it.
+The duration of a tick is the sum of the medians of its stages without the wake-up, transfers
+included. If less than a quarter of its period is left, the daemon warns once per servo life, with
+the highest rate that leaves it.
 """
 
 from collections.abc import Mapping
@@ -26,16 +26,16 @@ DECADES = 7
 LOWEST_NS = 10.0
 EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
 BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
-COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
+COUNTED_AT_ONCE = 500  # records: a numpy call costs more than the few records of one batch
 PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
 ENOUGH = 1000  # ticks before the room is judged
 WORK = STAGES[1:]
 RATE_STEP_HZ = 10.0
-CAUSES = max(LateCause) + 1  # places by number; 0 is no cause
+CAUSES = max(LateCause) + 1  # places by number; 0: on time
 
 
 class TickTimes:
-    """The ticks of one servo life that came after its grace."""
+    """The ticks of one servo life after its grace period."""
 
     def __init__(self, grace_s: float, rate_hz: float) -> None:
         self._grace_ns = round(grace_s * NS_PER_S)
@@ -43,7 +43,7 @@ class TickTimes:
         self.begin(0)
 
     def begin(self, start_ns: int) -> None:
-        """Begin anew, for a servo life that began at `start_ns`."""
+        """Start again, for a servo life that began at `start_ns`."""
         self._settled_ns = start_ns + self._grace_ns
         self._pending: list[Records] = []
         self._counts = np.zeros((len(STAGES), BINS), np.int64)
@@ -58,7 +58,6 @@ class TickTimes:
             self._count()
 
     def _count(self) -> None:
-        """Count what is pending."""
         if not self._pending:
             return
         records = joined(self._pending)
@@ -70,7 +69,7 @@ class TickTimes:
 
     def _count_stages(self, records: Records) -> None:
         times_ns = np.stack([records[f"{stage}_ns"] for stage in STAGES])
-        # each stage has bins of its own, so that one bincount serves all
+        # each stage has separate bins, so that one bincount serves all
         bins = (
             np.searchsorted(EDGES_NS, times_ns, side="right")
             + np.arange(len(STAGES))[:, None] * BINS
@@ -87,11 +86,11 @@ class TickTimes:
 
     @property
     def count(self) -> int:
-        """Ticks that were counted so far."""
+        """Ticks counted so far."""
         return int(self._counts[0].sum())
 
     def stages(self) -> dict[str, dict[str, float]]:
-        """{stage: {count, p50_us, p99_us, p999_us, max_us}}.
+        """Return {stage: {count, p50_us, p99_us, p999_us, max_us}}.
 
         A percentile is the upper edge of its bin, at most the maximum.
         """
@@ -108,7 +107,9 @@ class TickTimes:
         return found | {"max_us": float(highest_us)}
 
     def late(self) -> dict[str, dict[str, Any]]:
-        """{cause: {count, latest_us}}: how long after its deadline the latest one ended."""
+        """Return {cause: {count, latest_us}}; `latest_us` is the largest delay of an end after its
+        deadline.
+        """
         self._count()
         return {
             cause.name.lower(): {
@@ -121,12 +122,12 @@ class TickTimes:
 
     @property
     def room(self) -> Room:
-        """What a tick takes of its period."""
+        """Share of the period that a tick takes."""
         return room_of(self.stages(), self._rate_hz)
 
 
 def room_of(stages: Mapping[str, Mapping[str, Any]], rate_hz: float) -> Room:
-    """The room at `rate_hz` by the percentiles of `stages`."""
+    """Return the room at `rate_hz` from the percentiles of `stages`."""
     period_us = US_PER_S / rate_hz
     if stages[WORK[0]]["count"] < ENOUGH:
         return Room(0.0, period_us, 0.0)

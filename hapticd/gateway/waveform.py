@@ -1,11 +1,11 @@
-"""The perturbation waveform on its way into the segment that the servo plays it from.
+"""Transfer the perturbation waveform into the segment from which the servo plays it.
 
-It comes in chunks that follow each other (a message holds 64 kB) and is converted from newtons into
-counts of the board's probe converter. Whether anything is played from it is asked before
-(`commands`): it is written only while nothing is.
+It arrives in consecutive chunks (a message holds 64 kB) and is converted from newtons into counts
+of the board's probe converter. The caller (`commands`) checks that no waveform is playing; the
+segment is written only then.
 
-A waveform has the chunks of one client (a second client is refused). A new life of the servo begins
-with none.
+All chunks of a waveform come from one client (a second client is refused). A new life of the servo
+starts without a waveform.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 
 class Waveform:
-    """How much of a waveform is loaded. A new servo life begins with none."""
+    """The loaded part of a waveform. A new servo life starts without one."""
 
     def __init__(self, limits: CommandLimits) -> None:
         self._limits = limits
@@ -30,11 +30,11 @@ class Waveform:
         self._actor = 0
 
     def samples(self, view: ServoView) -> int:
-        """Samples that are loaded in the present servo life."""
+        """Return the number of samples loaded in the present servo life."""
         return self._samples if view.life == self._life else 0
 
     def load(self, request: Perturb, view: ServoView, actor: int) -> int:
-        """Append the chunk of `request` by `actor`; samples loaded by now.
+        """Append the chunk of `request` by `actor`; return the number of samples loaded.
 
         CommandError (`invalid`, `refused`): nothing changed.
         """
@@ -73,7 +73,7 @@ class Waveform:
 
     def _check(self, force_n: NDArray[np.float64], offset: int) -> None:
         limit = self._limits.of["samples_n"]
-        # not `<` or `>`: NaN must be found too
+        # not `<` or `>`: NaN must be found as well
         wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
         if wrong.size:
             first = int(wrong[0])
@@ -84,9 +84,10 @@ class Waveform:
 
 
 def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:
-    """Force samples [N], float64 (n,), from a list of numbers or little-endian float32 bytes.
+    """Return force samples [N], float64 (n,), from a list of numbers or little-endian float32
+    bytes.
 
-    CommandError `invalid`.
+    CommandError `invalid`: incomplete samples.
     """
     if isinstance(sent, bytes):
         if len(sent) % 4:

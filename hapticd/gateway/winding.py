@@ -1,9 +1,9 @@
-"""What the servo follows of the winding's resistance, as the newest record shows it.
+"""The compensation of the winding's resistance, from the newest record.
 
-The record has the count of the resistance compensation that was sent, and the sensor's temperature.
-What is compensated is base + trim; what the winding has is known by the sensor alone, so without
-one the rest, and the loop gain with it, is unknown (the servo then compensates what the winding
-must have at least). The physics is `render.winding`.
+The record contains the count of the resistance compensation and the temperature of the sensor. The
+compensated resistance is base + trim. The actual resistance is known only with a sensor; without
+one the residual, and with it the loop gain, is unknown (the servo then compensates the minimum
+resistance of the winding). The physics is in `render.winding`.
 
 The servo keeps the count of a board without the DAC at 0.
 """
@@ -16,12 +16,14 @@ from hapticd.render.winding import LEAST_LOOP_GAIN, loop_gain, ohm
 
 
 def compensation(record: dict[str, Any], device: DeviceParams) -> dict[str, Any] | None:
-    """Compensated and actual resistance [ohm], what is left, and the damping circuit's loop gain
-    at the level in effect and at the device's ceiling; values that are not known are None. None
-    before the first record, and for a device file without [resistance].
+    """Return compensated and actual resistance [ohm], the residual, and the damping circuit's loop
+    gain.
 
-    `residual_ohm` > 0: the winding has more than is compensated, so damping and force are weaker;
-    < 0: they are stronger, and the circuit oscillates at a loop gain of -1.
+    The loop gain is given at the level in effect and at the device's maximum; unknown values are
+    None. Return None before the first record, and for a device file without [resistance].
+
+    `residual_ohm` > 0: the actual resistance exceeds the compensated one, so damping and force are
+    weaker; < 0: they are stronger, and the circuit oscillates at a loop gain of -1.
     """
     table = device.resistance
     if table is None or not record:

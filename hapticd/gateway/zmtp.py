@@ -1,21 +1,21 @@
-"""ZMTP 3.0, the protocol of ZeroMQ, as one side of one connection: bytes in, messages out. No I/O.
+"""ZMTP 3.0, the protocol of ZeroMQ, for one side of one connection: bytes in, messages out. No I/O.
 
     greeting   64 bytes: signature FF .. 7F, version 3.0, mechanism NULL, filler
-    READY      a command with the kind of socket; a kind that does not go with ours is refused
-    frames     flags (1 more, 2 long, 4 command), length (1 or 8 bytes), body; a message is its
-               frames up to the first one without `more`
+    READY      a command with the kind of socket; an incompatible kind is refused
+    frames     flags (1 more, 2 long, 4 command), length (1 or 8 bytes), body; a message consists of
+               its frames up to the first one without `more`
 
-Source: the ZeroMQ RFCs 23/ZMTP and 37/ZMTP. Every ZeroMQ library since 4.0 speaks it. What newer
-ones add as commands is understood too: PING is answered, SUBSCRIBE and CANCEL are subscriptions.
+Source: the ZeroMQ RFCs 23/ZMTP and 37/ZMTP. Every ZeroMQ library since 4.0 implements it. Commands
+of newer versions are understood too: PING is answered, SUBSCRIBE and CANCEL are subscriptions.
 
-It is written out here, and the library left to the clients, because libzmq bounds too little of
-what a peer sends, and aborts the process by an assertion when a peer dies behind a full queue
-(ADR-0020). Here nothing is kept of a peer but what it may send: a frame is judged by its
-length before its body is awaited, a message by its parts and bytes as they come. What breaks a
-bound or the protocol is a WireError, and its connection ends.
+The gateway implements the protocol itself; only clients and the relay use libzmq. libzmq bounds too
+little of a peer's input, and aborts the process by an assertion when a peer dies behind a full
+queue (ADR-0020). Here all input is bounded: a frame is checked by its length before its body is
+awaited, a message by its parts and bytes as they arrive. A violation of a bound or of the protocol
+is a WireError, and its connection ends.
 
-A caller must not feed more while `take` still finds frames: the buffer would grow. A partner that
-speaks ZMTP 2 or older is refused.
+A caller must not feed more while `take` still finds frames: the buffer would grow. A partner with
+ZMTP 2 or older is refused.
 """
 
 from collections.abc import Sequence
@@ -32,14 +32,14 @@ COMMAND = 4
 SHORT_BYTES = 255  # the longest body whose length is one byte
 LONGEST_HANDSHAKE = 1024  # body of READY: a few properties
 MOST_PARTS = 8  # of a message
-PING_CONTEXT = 16  # bytes of a PING that come back in its PONG
+PING_CONTEXT = 16  # bytes of a PING that are returned in its PONG
 PARTNERS = {b"ROUTER": (b"REQ", b"DEALER", b"ROUTER"), b"XPUB": (b"SUB", b"XSUB")}
 
 Message = tuple[bytes, ...]
 
 
 def message(parts: Sequence[bytes]) -> bytes:
-    """The bytes of a message."""
+    """Return the bytes of a message."""
     *before, last = parts
     return b"".join(_frame(MORE, part) for part in before) + _frame(0, last)
 
@@ -60,33 +60,32 @@ def _ready(kind: bytes) -> bytes:
 
 
 class Session:
-    """Our side of a connection, as a socket of `kind` (a key of PARTNERS) that takes messages of
+    """One side of a connection, as a socket of `kind` (a key of PARTNERS) that accepts messages of
     at most `longest` bytes.
 
-    `outgoing` are bytes to be sent before anything else; the caller takes them out.
+    `outgoing` contains bytes to be sent before anything else; the caller removes them.
     """
 
     def __init__(self, kind: bytes, longest: int) -> None:
         self._kind = kind
         self._longest = longest
         self._buffer = bytearray()
-        self._place = 0  # in the buffer, of what has not been taken
+        self._place = 0  # in the buffer, of the unparsed rest
         self._greeted = False
         self._parts: list[bytes] = []
-        self.ready = False  # both sides have introduced themselves: messages may be sent
+        self.ready = False  # the handshake is complete: messages may be sent
         self.outgoing: list[bytes] = [GREETING]
 
     def feed(self, data: bytes) -> None:
-        """What has come from the peer."""
+        """Append input from the peer."""
         del self._buffer[: self._place]
         self._place = 0
         self._buffer += data
 
     def take(self) -> Message | None:
-        """The next piece of what has come: a message, or () for a piece that is none by itself
-        (part, command, greeting). None: no whole piece is there.
+        """Return the next piece of the input: a message, or () for a part, a command or a greeting.
 
-        WireError: the peer breaks the protocol or a bound.
+        None: no complete piece is available. WireError: the peer violates the protocol or a bound.
         """
         if not self._greeted:
             return self._greet()
@@ -119,7 +118,7 @@ class Session:
         return ()
 
     def _head(self) -> tuple[int, int, int] | None:
-        """Flags, place and length of the next body, once its whole head is there."""
+        """Return flags, place and length of the next body, once its head is complete."""
         rest = len(self._buffer) - self._place
         if rest < 2:
             return None
@@ -168,7 +167,7 @@ class Session:
 
 
 def _properties(data: bytes) -> dict[bytes, bytes]:
-    """Values by name in small letters; what is cut short ends the list."""
+    """Return values by name in lower case; an incomplete property ends the list."""
     found = {}
     place = 0
     while place < len(data):

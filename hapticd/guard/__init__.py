@@ -1,32 +1,33 @@
-"""Whether a change is passive, and in which order it is applied.
+"""Check whether a change is passive, and apply it in an order that stays passive.
 
-The gateway hands a request over, a worker process judges it, and the stages that the policy allows
-go into the mailbox one after the other. The direction is gateway -> guard -> mailbox.
+The gateway passes a request to this package, and a worker process judges it. The stages that the
+policy allows go into the mailbox one after the other. Imports point from gateway to guard to
+mailbox.
 
-The criterion, as pure functions of a device's model and of environments:
+The criterion consists of pure functions of a device model and of environments:
 
-    bases               Theorem, Predicted, Measured: how it is known what is safe
-    safe_region         SafeRegion: which environments are safe, and how far K, B and M may go;
-                        what a device renders of each alone, and what its delay costs
-    transition_planner  the stages of a change and the points that it passes; what lies between two
-                        environments
-    policies            what is done with a change, by the policy in force
+    bases               Theorem, Predicted, Measured: the grounds on which an environment is safe
+    safe_region         SafeRegion: the safe environments, and the allowed ranges of K, B and M;
+                        the passive range of each alone, and the stiffness lost to the delay
+    transition_planner  the stages of a change and the points on its path; interpolation between
+                        two environments
+    policies            the answer to a change, according to the policy
     plane               the K-B plane with and without active damping
-    judge               Judge: requests of the gateway in, answers out
-    explain             verdict, reasons and remedies as they are sent
+    judge               Judge: answers the requests of the gateway
+    explain             verdict, reasons and remedies as plain maps
 
-The life of a request:
+A request passes through these modules:
 
-    status              the policy in force, and what the worker last said
-    request_queue       requests on their way past the guard
-    pending             one of them, and its stages as the worker names them
-    question, refusals  what the worker is asked; what is said where it has not judged
+    status              the policy in force, and the last results of the worker
+    request_queue       the queue of requests that wait for a verdict
+    pending             one such request, and its stages as received from the worker
+    question, refusals  the question to the worker; refusals and verdicts without its judgement
     scheduled           changes that the servo holds for later ticks
-    outstanding         commands that were posted, until they are answered
-    stages              the change of several stages that is under way
-    in_force            the environment in force, by record and answer
-    terms               what the guard goes by, and what is left of it when the gateway starts anew
-    delay               the delay that the loop had in the last minute
-    delivered           how much active damping the board delivers
-    worker              the line to the worker process; main: that process
+    outstanding         posted commands that are not yet answered
+    stages              the multi-stage change in progress
+    in_force            the environment in force, from the newest record and the last answer
+    terms               policy, basis, margin and mode, kept across a restart of the gateway
+    delay               the loop delay of the last minute
+    delivered           the active damping that the board delivers
+    worker              the connection to the worker process; main: that process
 """

@@ -1,23 +1,23 @@
-"""How it is known whether environments are safe: three answers.
+"""Three bases for the judgement whether environments are safe.
 
-    theorem     without friction, for every input and every hand: the sampled loop is stable
-                (`loop`), K >= 0, and the device has damping to spare (`theorem`) at all
+    theorem     without friction, for every input and every passive hand: the sampled loop is stable
+                (`loop`), K >= 0, and the passivity margin (`theorem`) is positive at all
                 frequencies (`rational`)
-    predicted   with Coulomb friction as it is at a stated perturbation (`predict`), stability
-                included. A motion much larger than that is damped less
-    measured    inside what a bench measured: between the limits of K, B and M on their axes, with
-                the set taken as their hull, sum |q| / limit <= 1. For a rigid device the set is
-                convex (Re Z is affine in K, B, M), and limits on its axes are in it
+    predicted   with Coulomb friction linearised at a stated perturbation (`predict`), stability
+                included. A much larger motion is damped less
+    measured    within limits that a bench measured on the axes K, B and M. The set is taken as
+                their hull, sum |q| / limit <= 1. For a rigid device the safe set is convex (Re Z is
+                affine in K, B, M) and contains these limits
 
-For the theorem everything that no environment changes is kept for each level, delay and pair of
-filters: what the device is without a law (`theorem.opened`, most of the work), its lift, the
-condition as a rational function, its tick. Twenty points then cost one to two milliseconds, nearly
-all of it eigenvalues.
+The theorem caches everything that does not depend on the environment, for each level, delay and
+pair of filters: the open loop (`theorem.open_loop`, most of the work), its lift, the condition as a
+rational function, and the map of a tick. Twenty points then take 1 to 2 ms, mostly for eigenvalues.
 
-What is kept of levels is at most LEVELS, evenly up to the ceiling of the circuit, with the level
-that `damping on` means.
+At most LEVELS levels of active damping are cached. They are evenly spaced up to the limit of the
+circuit, and include the level of `damping on`.
 
-Limitations: a delay that changes from tick to tick; `theorem` and `predicted` know one.
+Limitations: `theorem` and `predicted` assume a constant delay; they do not cover a delay that
+changes from tick to tick.
 """
 
 from collections.abc import Callable
@@ -49,40 +49,40 @@ from hapticd.model.theorem import (
 __all__ = ["Conditions", "Theorem"]
 
 LEVELS = 16
-_KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
-_SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
-_ROUNDING = 1e-12  # of the largest K, B or M, beside a line
-_BETWEEN = 1e-4  # N s/m by which the margin, looked for at angles alone, may be too large
+_KEPT = 4 * LEVELS  # cached lifts, circles and ticks: levels, some delays, filters
+_SLACK = 1e-9  # N s/m: a margin equal to the required one is enough
+_ROUNDING = 1e-12  # of the largest K, B or M: distance from a line
+_BETWEEN = 1e-4  # N s/m by which a margin tested only at some angles may be too large
 
 
 class Conditions(NamedTuple):
-    """What one judgement of points holds for."""
+    """The conditions under which a set of points is judged."""
 
     active_damping_ns_per_m: float  # level of active damping
     filters: Filters
     delay_periods: float
-    spare_ns_per_m: float  # margin that has to be left
+    spare_ns_per_m: float  # required margin
 
 
 class Reading(NamedTuple):
-    """How safe a point is; None where the basis does not say."""
+    """The safety of a point; None where the basis does not provide the number."""
 
-    margin_ns_per_m: float | None  # damping to spare
-    worst_hz: float | None  # where it is least
+    margin_ns_per_m: float | None
+    worst_hz: float | None  # frequency of the smallest margin
     radius: float | None  # spectral radius of a tick
 
 
 class Theorem:
-    """Stable, and passive for every input and hand without friction."""
+    """Stable, and passive for every input and every passive hand, without friction."""
 
     name = "theorem"
 
     def __init__(self, model: Model) -> None:
         self.model = model
         self.rate_hz: float | None = model.rate_hz
-        # the device with a delay, the same object each time
+        # the device with a delay; the same object for the same delay
         self.late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
-        # how safe a point is; the margin of an unstable loop is that of its impedance alone
+        # the margin of an unstable loop comes from its impedance alone
         self.reading: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         opened: Callable[[float], OpenLoop] = partial(open_loop, model)
         self._opened = lru_cache(LEVELS + 8)(opened)
@@ -91,13 +91,15 @@ class Theorem:
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
 
     def prepare(self, at: Conditions) -> None:
-        """Compute what is kept for these conditions."""
+        """Compute and cache the results for these conditions."""
         self._everywhere(at)
         self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """Whether each of `points` (N, 3) is safe, with the margin asked for. What lies between two
-        safe points of a convex set is safe: outside of all circles, and stable as they are.
+        """Return whether each of `points` (N, 3) is safe, with the required margin.
+
+        Points between two safe points of a convex set are safe: they lie outside all circles, and
+        are as stable as the two ends.
         """
         found = self._everywhere(at)
         ends = line_ends(points) if found is not None and found.convex else None
@@ -114,10 +116,12 @@ class Theorem:
         return hopeful
 
     def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """What `safe` says, or where that is much cheaper: whether those of a connected set are
-        safe as soon as one of them is. Here at some angles, and without stability: an eigenvalue
-        that crosses |z| = 1 does so where -1/C = G, inside a circle, so a connected set outside the
-        circles is stable as a whole or not at all.
+        """Return a cheaper necessary condition of `safe`: on a connected set it decides as soon as
+        one point is safe.
+
+        It tests a few angles and leaves out stability. An eigenvalue crosses |z| = 1 only where
+        -1/C = G, which is inside a circle. A connected set outside the circles is therefore stable
+        as a whole, or not at all.
         """
         found = self._everywhere(at)
         seen = NOWHERE if found is None else found.circles
@@ -145,7 +149,7 @@ class Theorem:
 
 
 class Predicted:
-    """Passive and stable with friction as it is at a perturbation."""
+    """Passive and stable, with friction linearised at a perturbation."""
 
     name = "predicted"
 
@@ -155,15 +159,15 @@ class Predicted:
         self._perturbation = perturbation
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As of `Theorem`."""
+        """Return whether each point is safe, as `Theorem.safe` does."""
         return self._enough(self._predict(points, at), at)
 
     def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """Without stability, for which every friction takes a map of its own."""
+        """Return the condition without stability, which needs a separate map for every friction."""
         return self._enough(self._predict(points, at, stability=False), at)
 
     def reading(self, point: Point, at: Conditions) -> Reading:
-        """How safe a point is; the radius is that with the linearised friction, without it where
+        """Return the safety of a point. The radius includes the linearised friction, except where
         Re Z decided.
         """
         found = self._predict(np.array([point]), at)
@@ -190,7 +194,7 @@ class Predicted:
 
 
 class Measured:
-    """Inside the limits that a bench measured, at the level of damping then or more."""
+    """Inside the measured limits of the highest level that does not exceed the active damping."""
 
     def __init__(self, measured: MeasuredParams) -> None:
         self.name = f"measured {measured.file}"
@@ -198,7 +202,9 @@ class Measured:
         self._measured = measured
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As of `Theorem`. A margin in N s/m is not known: none may be asked for."""
+        """Return whether each point is safe, as `Theorem.safe` does. This basis has no margin in N
+        s/m, so a required margin above 0 makes every point unsafe.
+        """
         level = self._level(at.active_damping_ns_per_m)
         corners = tuple(one.frequency_hz for one in at.filters if one is not None)
         if level is None or at.spare_ns_per_m > 0.0 or corners != self._measured.corners_hz:
@@ -213,7 +219,7 @@ class Measured:
     hopeful = safe
 
     def reading(self, point: Point, at: Conditions) -> Reading:
-        """Limits say nothing of how far inside a point is."""
+        """Return a reading without numbers: limits give no distance to the edge."""
         return Reading(None, None, None)
 
     def _level(self, active_damping_ns_per_m: float) -> MeasuredLevel | None:
@@ -225,13 +231,13 @@ class Measured:
         return below[-1] if below else None
 
 
-# `rate_hz` of a basis is that of the ticks that its radius is of; None: it knows no radius
+# `rate_hz` of a basis: rate of the ticks to which its radius applies; None: it has no radius
 Basis = Theorem | Predicted | Measured
 
 
 def line_ends(points: Floats) -> list[int] | None:
-    """The two of `points` (N, 3) between which all others lie; None if they are on no line, or
-    two or less.
+    """Return the indices of the two of `points` (N, 3) between which all others lie. None if the
+    points are not on one line, or if there are at most two.
     """
     if len(points) < 3:
         return None
@@ -245,7 +251,7 @@ def line_ends(points: Floats) -> list[int] | None:
 
 
 def model_of(params: ModelParams) -> Model:
-    """The model of these numbers, as far as judgements need it."""
+    """Return the model with these parameters, as far as judgements need it."""
 
     def output(of: OutputParams) -> Output:
         return Output(*(frozen(np.array(row)) for row in (of.c0, of.c1, of.d0, of.d1)))
@@ -268,7 +274,7 @@ def model_of(params: ModelParams) -> Model:
         outputs=Outputs(
             **seen,
             recorded_impulse=impulse,
-            motor_force=seen["velocity"],  # not asked by any judgement
+            motor_force=seen["velocity"],  # not used by any judgement
             estimate=seen["velocity"],
         ),
         contacts=params.contacts,
@@ -276,6 +282,8 @@ def model_of(params: ModelParams) -> Model:
 
 
 def cached_levels(ceiling_ns_per_m: float, active_damping_ns_per_m: float) -> tuple[float, ...]:
-    """At most LEVELS levels of active damping from 0 to the ceiling, with that of `damping on`."""
+    """Return at most LEVELS levels of active damping from 0 to the limit, with that of `damping
+    on`.
+    """
     even = np.linspace(0.0, ceiling_ns_per_m, LEVELS - 1).tolist()
     return tuple(sorted({*even, min(active_damping_ns_per_m, ceiling_ns_per_m)}))

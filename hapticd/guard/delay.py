@@ -1,11 +1,10 @@
-"""The delay that the loop had in the last minute, as the guard counts on it.
+"""Estimate the loop delay of the last minute, for the judgements of the guard.
 
-Every record says how long after its sample the force was in effect that acted when it was taken
-(`delay_us`). Here they are counted by second, in steps of a sixteenth of a period; the guard takes
-the delay that 99 of 100 ticks did not exceed, rounded up to the next step. It counts as soon as it
-is longer, and as shorter only once it was so for 10 s: each new delay costs the worker half a
-second. One delay is one number for a theorem that knows no varying one: that is said beside every
-verdict.
+Each record contains `delay_us`, the delay from a sample to its force, for the force in effect when
+the record's own sample was taken. This module counts these delays by second, in steps of 1/16
+period. The guard uses the 99th percentile, rounded up to the next step. A longer delay counts at
+once; a shorter one counts after 10 s, because each new delay costs the worker 0.5 s. The theorem
+assumes a constant delay, and every verdict includes this limitation.
 
 The delay must be rounded up, and a minute without records must not count the one before.
 """
@@ -18,26 +17,26 @@ from hapticd.protocol.view import Records
 
 STEPS = 16  # of a period
 MOST_PERIODS = 16
-BINS = STEPS * MOST_PERIODS + 1  # the last one: at least so long
+BINS = STEPS * MOST_PERIODS + 1  # the last bin includes all longer delays
 KEPT_S = 60
 SHARE = 0.99
-LEAST_RECORDS = 500  # for the first percentile
+LEAST_RECORDS = 500  # before the first percentile
 SHORTER_S = 10
 
 
 class DelayHistogram:
-    """Delays of the last KEPT_S seconds, at a servo rate [Hz]."""
+    """Histogram of the delays of the last KEPT_S seconds, at a servo rate [Hz]."""
 
     def __init__(self, rate_hz: float) -> None:
         self._steps_per_us = STEPS * rate_hz / US_PER_S
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew, for another servo life."""
+        """Start again, for another servo life."""
         self._counts = np.zeros((KEPT_S, BINS), np.int64)  # by second, modulo KEPT_S
-        self._total = np.zeros(BINS, np.int64)  # of them all
+        self._total = np.zeros(BINS, np.int64)  # over all seconds
         self._newest = -KEPT_S  # s
-        self.periods: float | None = None  # a multiple of 1/16; None: not known yet
+        self.periods: float | None = None  # a multiple of 1/16; None: not yet known
         self._shorter_since: int | None = None  # s
 
     def add(self, records: Records) -> None:
@@ -47,7 +46,7 @@ class DelayHistogram:
         seconds = records["time_ns"][known] // NS_PER_S
         if not seconds.size:
             return
-        # what is a step to within rounding of floating point is not one more
+        # tolerate floating-point rounding at a step
         steps = np.ceil(delay_us[known] * self._steps_per_us - 1e-6).astype(np.int64)
         for second in sorted(set(seconds.tolist())):
             self._count(second, np.minimum(steps[seconds == second], BINS - 1))
@@ -55,7 +54,7 @@ class DelayHistogram:
 
     def _count(self, second: int, steps: NDArray[np.int64]) -> None:
         if second <= self._newest - KEPT_S:
-            return  # too old: a clock went back
+            return  # too old: a clock was set back
         for begun in range(max(self._newest, second - KEPT_S) + 1, second + 1):
             self._total -= self._counts[begun % KEPT_S]
             self._counts[begun % KEPT_S] = 0
@@ -65,7 +64,9 @@ class DelayHistogram:
         self._newest = max(self._newest, second)
 
     def _follow(self) -> None:
-        """Delay that 99 % of the ticks did not exceed, in periods; shorter ones later."""
+        """Update the delay that 99 % of the ticks did not exceed, in periods; shorter
+        ones later.
+        """
         below = np.cumsum(self._total)
         if below[-1] < LEAST_RECORDS:
             return

@@ -1,12 +1,13 @@
-"""Follows how much active damping the board really delivers, and says when it is too little.
+"""Estimate the active damping that the board delivers, and report a shortfall.
 
-The records of the last 4 s are kept in 16 blocks of sums of products, from which
-`signal.delivered` makes an estimate with an interval. Only samples count that the board latched
-itself, inside its converters and while it grants torque; only one level of damping at a time; and a
-block that tells nothing takes its place too, so what is known gets old.
+The records of the last 4 s are reduced to 16 blocks of sums of products. `signal.delivered` makes
+an estimate with an interval from them. A sample counts only if the board latched it itself, inside
+the range of its converters, while it grants torque. All samples belong to one level of damping. A
+block without information replaces an old one too, so the estimate ages.
 
-Low is an interval whose upper end stays below 80 % of what is commanded for 3 s. That is told once
-until it is enough again; it is the fault where the environment in force relies on more.
+A shortfall is an interval whose upper end stays below 80 % of the commanded active damping for 3 s.
+It causes one warning, until the active damping is sufficient again. It causes a fault if the
+environment in force needs more of it.
 
 Records must be consecutive, or `forget` called between them.
 """
@@ -48,19 +49,19 @@ __all__ = ["Delivered"]
 
 BLOCK_S = 0.256
 KEPT = 16  # blocks
-UNEVEN = 0.05  # of a period, between samples that follow each other
-STEADY = 0.02  # change of level beyond which the past is of another one
-SETTLED = 5.0  # time constants of the smoothing until what was before is forgotten
-LOW = 0.8  # of what is commanded
-LOW_BLOCKS = 12  # in a row: 3 s
+UNEVEN = 0.05  # of a period: tolerance of the interval between consecutive samples
+STEADY = 0.02  # relative change of level beyond which earlier samples do not count
+SETTLED = 5.0  # time constants of the smoothing until the initial value is forgotten
+LOW = 0.8  # of the commanded active damping
+LOW_BLOCKS = 12  # consecutive: 3 s
 NOT_BELIEVED = int(Flag.MISSING_IN | Flag.SEEDED | Flag.DOUBTED | Flag.GLITCH | Flag.INTERPOLATED)
 
-NO_DEVICE = "unknown: the device file does not say the force per ampere"
+NO_DEVICE = "unknown: the device file has no force per ampere"
 NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
 
 
 class Shortfall(NamedTuple):
-    """Too little is delivered: whether to warn, and whether to ask for the fault."""
+    """A shortfall: whether it warrants a warning, and whether it warrants the fault."""
 
     text: str
     warn: bool
@@ -68,16 +69,18 @@ class Shortfall(NamedTuple):
 
 
 class CommandedForce(NamedTuple):
-    """The commanded force as it arrives at the circuit, at each sample (n,)."""
+    """The commanded force at the input of the circuit, at each sample (n,)."""
 
     force_n: Floats
     rate_n_per_s: Floats
-    settled: Flags  # it is known
+    settled: Flags  # where the smoothed force is known
 
 
 class Delivered:
-    """Follows the records of one servo life. `relied_on` says how much active damping [N s/m] the
-    environment in force needs by the guard's verdict; None: nobody counts on it.
+    """The estimate over the records of one servo life.
+
+    `relied_on` returns the active damping [N s/m] that the environment in force needs according to
+    the guard's verdict; None: no environment depends on it.
     """
 
     def __init__(self, servo: ServoParams, relied_on: Callable[[], float | None]) -> None:
@@ -87,7 +90,7 @@ class Delivered:
         self.begin()
 
     def begin(self) -> None:
-        """A new life."""
+        """Start again, for a new servo life."""
         self._blocks: deque[Block] = deque(maxlen=KEPT)
         self.estimate = NOTHING
         self._levels = np.zeros(2)
@@ -97,20 +100,19 @@ class Delivered:
         self.forget()
 
     def forget(self) -> None:
-        """Records were lost: the next ones stand alone."""
+        """Note that records were lost: the next ones do not continue the previous ones."""
         self._pending: list[Records] = []
         self._count = 0
         self._seen: Records | None = None
         self._unsettle()
 
     def _unsettle(self) -> None:
-        """Nothing is known of the smoothed force."""
         corner_hz = self._servo.device.force_smoothing_hz
         self._settling_s = SETTLED / (2.0 * np.pi * corner_hz) if corner_hz > 0.0 else 0.0
         self._motor_n = 0.0
 
     def take(self, records: Records) -> list[Shortfall]:
-        """The next `records`; what is to be said about them."""
+        """Take the next `records`; return the shortfalls to report."""
         self._pending.append(records)
         self._count += len(records)
         if self._count < self._length:
@@ -132,14 +134,14 @@ class Delivered:
         block = self._sums(seen, len(seen) - len(records)) if self._steady(records) else None
         if block is None:
             self._unsettle()
-        # what tells nothing takes its place too: what is known gets old
+        # a block without information counts too: the estimate ages
         self._blocks.append(block or NO_BLOCK)
         winding_c = float(records["winding_c"][-1])
         self.estimate = estimate(self._blocks, self._servo, commanded, winding_c)
         return self._judged()
 
     def _steady(self, records: Records) -> bool:
-        """Whether one level was in force all the time; what was seen at another is forgotten."""
+        """Return whether one level was in force throughout; forget samples of any other level."""
         levels = np.stack(
             [records["active_damping_ns_per_m"], records["active_damping_effect_ns_per_m"]]
         ).astype(float)
@@ -154,9 +156,9 @@ class Delivered:
         return granted and bool((np.ptp(levels, axis=1) <= margin).all())
 
     def _sums(self, seen: Records, new: int) -> Block | None:
-        """What `seen[new:]` adds; None if there is next to nothing in it."""
+        """Return the sums of `seen[new:]`; None if they contain too few samples."""
         rows = np.flatnonzero((seen["flags"] & NOT_BELIEVED) == 0)
-        # the last sample before them begins the first of their periods
+        # the last sample before the new ones starts the first of their periods
         begin = max(int(np.searchsorted(rows, new)) - 1, 0)
         if len(rows) - begin <= WINDOW:
             return None
@@ -172,7 +174,6 @@ class Delivered:
         return _products(at, path, motor_n, places[whole], period_s)
 
     def _path(self, found: Table, period_s: float) -> CommandedForce:
-        """The commanded force as it arrives at the circuit."""
         corner_hz = self._servo.device.force_smoothing_hz
         held_n = found["in_effect_n"]
         if corner_hz <= 0.0:
@@ -187,7 +188,9 @@ class Delivered:
         return CommandedForce(path_n, 2.0 * np.pi * corner_hz * (held_n - path_n), settled)
 
     def _judged(self) -> list[Shortfall]:
-        """Low for some seconds: a warning once, and the fault where it is counted on."""
+        """Return a shortfall once it has lasted for 3 s: one warning, and the fault if the damping
+        is needed.
+        """
         found = self.estimate
         if found.high is None:
             return []
@@ -207,7 +210,7 @@ class Delivered:
 
 
 def estimate_text(found: Estimate) -> str:
-    """That too little is delivered, in words."""
+    """Describe a shortfall."""
     percent = 100.0 * (found.ratio or 0.0)
     return (
         f"active damping: {found.estimate_ns_per_m:.3g} N s/m ({found.low:.3g} to {found.high:.3g})"
@@ -217,7 +220,9 @@ def estimate_text(found: Estimate) -> str:
 
 
 def _measured(records: Records, device: DeviceParams) -> Flags:
-    """Where the board grants torque and measures finite values inside its converters."""
+    """Return where the board grants torque and measures finite values inside its
+    converter ranges.
+    """
     granted = (records["status"] & StatusBit.ENABLED) != 0
     clamped = (records["status"] & StatusBit.FORCE_CLAMPED) != 0
     inside = granted & ~clamped & np.isfinite(records["position_m"])
@@ -243,7 +248,9 @@ def _products(
     places: NDArray[np.intp],
     period_s: float,
 ) -> Block:
-    """Sums of products of samples, and of means over the windows at `places` (n, WINDOW + 1)."""
+    """Return sums of products of samples, and of means over the windows at `places` (n, WINDOW +
+    1).
+    """
     fine = np.zeros((len(places) * WINDOW, COLUMNS))
     coarse = np.zeros((len(places), COLUMNS))
     for column, values in (

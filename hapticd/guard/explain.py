@@ -1,8 +1,6 @@
-"""Explain a verdict: the verdict as it is sent, the reasons and remedies for an environment, and
-the hand that shakes it.
+"""Explain a verdict: its plain map, reasons and remedies, and the destabilising hand.
 
-Each sentence must have value, unit and remedy, and `safe` must have what no verdict promises
-(NOT_COVERED) beside it.
+Each sentence must have value, unit and remedy. A `safe` verdict must include the list NOT_COVERED.
 """
 
 from collections.abc import Sequence
@@ -30,7 +28,7 @@ NOTHING_KNOWN: dict[str, Any] = {
 class VerdictBuilder:
     """Verdicts on environments of the device of `setup`, as plain maps (docs/guard.md).
 
-    `levels`: those of active damping, N s/m, for which the sampled device is kept.
+    `levels`: the cached levels of active damping, N s/m.
     """
 
     def __init__(self, setup: GuardSetup) -> None:
@@ -49,7 +47,9 @@ class VerdictBuilder:
         path: Sequence[Environment],
         given: Environment,
     ) -> dict[str, Any]:
-        """What is told of `environment`, judged along `path`; `given` is where the stages lead."""
+        """Return the verdict on `environment`, judged along `path`; `given` is the end of the
+        stages.
+        """
         known = NOTHING_KNOWN if region is None else self._known(region, environment)
         if region is not None and known["least_active_damping_ns_per_m"] is None:
             no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
@@ -79,8 +79,8 @@ class VerdictBuilder:
 
 
 def explain(region: SafeRegion, environment: Environment, safe: bool, way: str = "") -> Explanation:
-    """Say what is known of an environment, with values, units and, if it is not safe, remedies;
-    `way` stands before its name.
+    """Explain the safety of an environment, with values, units and, if it is unsafe, remedies.
+    `way` is a prefix of the description of the environment.
     """
     where = f"{way}{environment_text(environment)}"
     if environment.stiffness_n_per_m < 0.0:
@@ -120,7 +120,9 @@ def _shortage(region: SafeRegion, worst: Reading, side: str) -> tuple[Reason, st
 
 
 def doubling_text(radius: float, rate_hz: float) -> str:
-    """How fast a motion grows that each tick multiplies by `radius` >= 1: `doubles in 40 ms`."""
+    """Return the growth of a motion that each tick multiplies by `radius` >= 1: `doubles
+    in 40 ms`.
+    """
     if radius <= 1.0:
         return "does not die out"
     seconds = log(2.0) / (log(radius) * rate_hz)
@@ -128,20 +130,20 @@ def doubling_text(radius: float, rate_hz: float) -> str:
 
 
 def environment_text(environment: Environment) -> str:
-    """An environment by its numbers."""
+    """Describe an environment by its numbers."""
     k, b, m = environment.free
     level = environment.active_damping_ns_per_m
     return f"K = {k:g} N/m, B = {b:g} N s/m, M = {m:g} kg with {level:.4g} N s/m of active damping"
 
 
 def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:
-    """A hand as one thing that can be imagined: its mass, or its spring to the ground; small tuned
-    masses beside it, which serve images, are left out.
+    """Describe a hand as its mass, or as its spring to the ground. Small tuned masses, which serve
+    the spectral images of sampling, are left out.
     """
     where = f"at {hz:.3g} Hz" + (", in the wall" if in_wall else "")
     mass_kg = float(hand.mass_kg[0])
     if mass_kg > 0.0:
         return {"text": f"a mass of {1e3 * mass_kg:.3g} g, {where}", "mass_kg": mass_kg}
-    # what is left at node 0 once the joints to the other nodes are taken away
+    # the sum of row 0 removes the joints to the other nodes and leaves the spring to the ground
     stiffness = float(hand.stiffness_n_per_m[0].sum())
     return {"text": f"a spring of {stiffness:.0f} N/m, {where}", "stiffness_n_per_m": stiffness}

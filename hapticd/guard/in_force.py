@@ -1,8 +1,8 @@
-"""The environment in force, as the newest record and the last answer of the servo tell it.
+"""Determine the environment in force from the newest record and the last answer of the servo.
 
-`target` is where the ramps in force end, `now` what acts in the newest record. Of what no
-record holds (the wall's damping while it moves, its side once it was rounded to none) the value
-counts that may still act and is furthest from the target.
+`target` is the end of the ramps in progress, `now` the environment that acts in the newest record.
+Records do not contain the wall's damping during a ramp, nor its side once it is rounded to 0. For
+these the value counts that may still act and is furthest from the target.
 
 Limitations: record and answers may belong to different revisions for a moment (see `known`).
 """
@@ -17,7 +17,7 @@ from hapticd.protocol.commands import rendered
 from hapticd.protocol.view import ServoView
 
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
-# columns that hold what acts; of a side and of active damping the record tells less
+# columns with the acting values; side and active damping need more than the record
 COLUMNS = {
     one.path: one.column
     for one in FIELDS
@@ -26,14 +26,16 @@ COLUMNS = {
 
 
 class WallDamping:
-    """The wall's damping as it acts, which no record holds: where its ramp began, until it ends."""
+    """The damping of the wall, which no record contains: the start of its ramp, until the ramp
+    ends.
+    """
 
     def __init__(self) -> None:
         self._life = 0
         self._begun = self._end = 0.0
 
     def follow(self, life: int, target: float, moving: bool) -> float:
-        """The value furthest from `target` that may still act."""
+        """Return the value that may still act and is furthest from `target`."""
         if life != self._life or (target == self._end and not moving):
             self._life = life
             self._begun = self._end = target
@@ -44,13 +46,13 @@ class WallDamping:
 
 
 class WallSide:
-    """The side of a wall that may still act: it comes to 0 on a ramp, and a record rounds it."""
+    """The side of a wall that may still act: it ramps to 0, and records round it."""
 
     def __init__(self) -> None:
         self.value = 0
 
     def follow(self, records: Any) -> None:
-        """Look at `records`: a side counts until one of them says 0 and nothing moves."""
+        """Take `records`: a side counts until a record shows 0 without motion."""
         walled = np.flatnonzero(records["wall_side"])
         if walled.size:
             self.value = int(records["wall_side"][walled[-1]])
@@ -68,22 +70,22 @@ class EnvironmentInForce:
         self._side = WallSide()
 
     def begin(self) -> None:
-        """A new servo life."""
+        """Start a new servo life."""
         self._side.value = 0
 
     def follow(self, records: Any) -> None:
-        """Look at telemetry `records`, which come once each and in order."""
+        """Take telemetry `records`, each once and in order."""
         self._side.follow(records)
 
     @property
     def known(self) -> bool:
-        """Whether record and answers tell of the same environment."""
+        """Whether record and answers belong to the same environment."""
         same = self._answered_revision == self.revision
         return self._view.alive and not self._view.unsure and same
 
     @property
     def ahead_of_answers(self) -> bool:
-        """Whether the servo has gone on to an environment of which no answer is known yet."""
+        """Whether the newest record has an environment whose answer is not yet known."""
         return self._view.alive and newer(self.revision, self._answered_revision)
 
     @property
@@ -92,20 +94,22 @@ class EnvironmentInForce:
 
     @property
     def revision(self) -> int:
-        """Of the environment in the newest record; -1 before the first."""
+        """Revision of the environment in the newest record; -1 before the first."""
         return int(self._view.record.get("environment_revision", -1))
 
     @property
     def controlled(self) -> bool:
-        """Whether the servo's energy controller holds more damping, or less K and B, than asked."""
+        """Whether the energy controller of the servo holds more damping, or less K and B, than
+        requested.
+        """
         return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
 
     def target(self) -> Environment:
-        """Where the ramps in force end."""
+        """Return the end of the ramps in progress."""
         return rendered(self._view.targets)
 
     def now(self) -> Environment:
-        """What acts in the newest record."""
+        """Return the environment that acts in the newest record."""
         record = self._view.record
         target = self.target()
         moving = bool(int(record["flags"]) & IN_MOTION)
@@ -118,17 +122,19 @@ class EnvironmentInForce:
             | {
                 "wall.virtual_damping_ns_per_m": wall_damping,
                 "wall.side": record["wall_side"] or (self._side.value if moving else 0),
-                # NaN: the board did not say
+                # NaN: the board did not report it
                 "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,
             }
         )
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is rendered: K, B, M and the wall are 0 and stay so."""
+        """Whether nothing is rendered: K, B, M and the wall are 0, now and at the end of
+        the ramps.
+        """
         return self.now().empty and self.target().empty
 
     @property
     def level(self) -> float:
-        """Active damping that `damping on` would give, N s/m."""
+        """Active damping that `damping on` would set, N s/m."""
         return float(self._view.targets[Value.ACTIVE_DAMPING])

@@ -1,12 +1,12 @@
-"""The guard's judge: the requests of the gateway to the guard's worker, and their answers.
+"""The judge in the guard's worker: it answers the requests of the gateway.
 
-`Judge` answers plain maps with plain maps (docs/guard.md). A `change` is judged where it leads to
-and at most 20 points of the way there (`transition_planner`), in free space and in contact
-(`safe_region`), by the basis asked for (`bases`); the policy decides what is done with it
-(`policies`). A `look` tells of the environment in force and of what the delay costs, a `hand` names
-the passive hand that shakes one.
+`Judge` takes and returns plain maps (docs/guard.md). It judges a `change` at its end and at up to
+20 points of its path (`transition_planner`). It does so in free space and in contact
+(`safe_region`), on the requested basis (`bases`); the policy selects the answer (`policies`). A
+`look` returns the verdict on the environment in force and the cost of the delay. A `hand` returns
+the passive hand that destabilises an environment.
 
-The answer depends on request and setup alone: tests and lock-step flights rely on it.
+The answer depends on request and setup alone: tests and lock-step runs rely on it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +32,7 @@ from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, b
 
 __all__ = ["Judge"]
 
-_DELAYS = 8  # whose cost is kept
+_DELAYS = 8  # with a cached cost
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
 _CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}
 _FIELDS = {  # of a request
@@ -44,9 +44,9 @@ _FIELDS = {  # of a request
 
 
 class Judge:
-    """Answers requests about environments on the device of `setup`; plain maps in and out.
+    """Answer requests about environments on the device of `setup`; plain maps in and out.
 
-    The same requests give the same answers. AnalysisError for a request that makes no sense.
+    The same requests give the same answers. AnalysisError for an invalid request.
     """
 
     def __init__(self, setup: GuardSetup) -> None:
@@ -59,7 +59,7 @@ class Judge:
         self._timing: Callable[[float], dict[str, Any] | None] = lru_cache(_DELAYS)(self._timed)
 
     def hello(self, pid: int) -> dict[str, Any]:
-        """What the worker says first."""
+        """Return the first message of the worker."""
         return {
             "hello": {
                 "model": self.theorem is not None,
@@ -72,7 +72,9 @@ class Judge:
         }
 
     def warm(self) -> bool:
-        """Prepare one more level for the delay that was last asked about; False when all are."""
+        """Prepare one more level for the delay of the last request; return False when
+        none is left.
+        """
         if self.theorem is None or not self._cold:
             return False
         spare = self.setup.guard.margin_ns_per_m
@@ -81,7 +83,7 @@ class Judge:
         return bool(self._cold)
 
     def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer to one request: `change`, `look`, `hand` or `plane`."""
+        """Return the answer to one request: `change`, `look`, `hand` or `plane`."""
         asks = {
             "change": self._change,
             "look": self._look,
@@ -95,7 +97,7 @@ class Judge:
             raise AnalysisError(f"{ask}: the guard knows no field {min(strange)!r}")
         return {"n": request.get("n"), **asks[ask](request)}
 
-    # --- what is asked ----------------------------------------------------------------------------
+    # --- requests ---------------------------------------------------------------------------------
 
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
         return answer_change(self.verdicts, self._region(request), request)
@@ -132,8 +134,8 @@ class Judge:
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
 
     def _timed(self, delay: float) -> dict[str, Any] | None:
-        """What a delay [periods] costs of K by the theorem, without active damping and with the
-        level of `damping on`; None where the model says nothing.
+        """Return the stiffness lost to a delay [periods] by the theorem; None without a usable
+        model. It is given without active damping and with the level of `damping on`.
         """
         if self.theorem is None or self._unresolved:
             return None
@@ -173,8 +175,9 @@ class Judge:
     def _shakers(
         theorem: Theorem, delay: float, point: Point, environment: Environment, in_wall: bool
     ) -> list[dict[str, Any]]:
-        """Hands that shake it: where the motion should grow fastest, and where the most damping is
-        missing, for neither is always the one that shakes it hardest.
+        """Return hands that destabilise the environment. One is placed where the motion grows
+        fastest, one where the most damping is missing: either may be the one that shakes the device
+        hardest.
         """
         level = environment.active_damping_ns_per_m
         filters = environment.filters
@@ -189,7 +192,7 @@ class Judge:
                 found.append(hand_text(shaker.hand, shaker.hz, in_wall) | how)
         return found
 
-    # --- what it is made of -----------------------------------------------------------------------
+    # --- parts ------------------------------------------------------------------------------------
 
     def _delay(self, asked: float | None) -> float:
         if asked is not None:
@@ -197,8 +200,8 @@ class Judge:
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
     def _region(self, request: Mapping[str, Any]) -> SafeRegion | Explanation:
-        """How to judge it, or why nothing is known."""
-        # each question walks the whole change, so only where there is such a parameter
+        """Return the region to judge by, or the reason why the request cannot be judged."""
+        # this test walks the whole change: do it only if there are such parameters
         if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):
             return beyond
         found = self._basis(request["basis"])
@@ -212,7 +215,9 @@ class Judge:
         return SafeRegion(found, (delay, min(delay, self._delay(None))), spare)
 
     def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
-        """What `request` leads to with all that is scheduled; with force also what acts before."""
+        """Return the environments that `request` and all scheduled changes lead to; with force also
+        those before.
+        """
         target = from_message(request["target"], self.setup.environment)
         on_the_way = [target]
         for one in (*request.get("before", ()), request.get("change", {})):
@@ -226,7 +231,7 @@ class Judge:
         return [now, *on_the_way, *ends]
 
     def _narrow_modes(self) -> Explanation | None:
-        """Why the model says nothing: modes that are too narrow; None for none."""
+        """Return why modes of the model are too narrow to judge; None if none is."""
         if self.theorem is None:
             return None
         found = [unresolved_hz(self.theorem.model, level) for level in self.verdicts.levels]
@@ -268,7 +273,9 @@ def _unknown(text: str, remedy: str = "") -> Explanation:
 
 
 def _beyond_the_model(environments: Sequence[Environment]) -> Explanation | None:
-    """Why nothing is known of `environments`: parameters of which the model knows nothing."""
+    """Return the reason if `environments` use parameters that the model does not cover; None
+    otherwise.
+    """
     values = zip(*(one.further for one in environments), strict=True)
     beyond = [one.key for one, found in zip(FURTHER, values, strict=False) if any(found)]
     if not beyond:

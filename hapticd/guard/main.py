@@ -1,13 +1,13 @@
 """The guard's worker: `python -m hapticd.guard.main FOLDER --fd N [--parent PID]`.
 
 It judges environments on the model in FOLDER/guard.json (`guard.judge.Judge`) for the gateway,
-which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
-length (`guard.worker`). The first one tells whom it judges for; then every request gets one
-answer. What goes wrong with one request becomes {"n": .., "error": text}, and the worker goes on.
-While nobody asks, it prepares the levels of damping that it will be asked about.
+which keeps the other end of the socket N. Messages in both directions are msgpack maps, each
+preceded by its length (`guard.worker`). The worker first sends a hello with its configuration; then
+every request gets one answer. An error in a request is answered with {"n": .., "error": text}, and
+the worker continues. While idle, it prepares the levels of damping for later requests.
 
-Exit code 0: the gateway is gone or asked it to end; 78: guard.json is wrong, and a restart would
-not help.
+Exit code 0: the gateway has ended or has asked the worker to end; 78: guard.json is wrong, and a
+restart would not help.
 
 It must not import numba, zmq or pydantic (a test checks).
 """
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until the other end closes; the exit code."""
+    """Serve until the other end closes; return the exit code."""
     parser = argparse.ArgumentParser(prog="hapticd.guard.main", allow_abbrev=False)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--fd", type=int, required=True)
@@ -58,10 +58,10 @@ def main(arguments: list[str]) -> int:
 
 
 def _be_a_batch() -> None:
-    """Woken by a question, this process would take the gateway's core for some 3 ms, in the middle
-    of a pass. A process of SCHED_BATCH waits until the core is free.
+    """Run under SCHED_BATCH, so that a request does not interrupt the gateway. Otherwise the worker
+    would take the gateway's core for about 3 ms, in the middle of a pass.
     """
-    with suppress(OSError):  # where that is not allowed, changes act a little later
+    with suppress(OSError):  # without the right to do so, changes act a little later
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
@@ -70,7 +70,7 @@ def _end() -> None:
 
 
 def serve(line: socket.socket, judge: "Judge") -> None:
-    """Answer what comes over `line` until it ends."""
+    """Answer the requests on `line` until it ends."""
     try:
         _send(line, judge.hello(os.getpid()))
         while True:
@@ -84,7 +84,7 @@ def serve(line: socket.socket, judge: "Judge") -> None:
 
 
 def answered(judge: "Judge", request: bytes) -> dict[str, Any]:
-    """The answer to one message; an error is an answer too."""
+    """Return the answer to one message; an error is an answer too."""
     number = None
     try:
         plain = msgpack.unpackb(request)
@@ -99,11 +99,11 @@ def _warm_while_idle(line: socket.socket, judge: "Judge") -> None:
         while not select.select([line], [], [], 0.0)[0] and judge.warm():
             pass
     except HapticdError:
-        return  # a level that cannot be computed is told when it is asked for
+        return  # a request for a level that cannot be computed reports the error
 
 
 def _receive(line: socket.socket) -> bytes | None:
-    """The next message; None at the end, or after one that is longer than is allowed."""
+    """Return the next message; None at the end, or if a message is longer than allowed."""
     head = line.recv(LENGTH.size, socket.MSG_WAITALL)
     if len(head) < LENGTH.size:
         return None

@@ -1,7 +1,8 @@
-"""What was posted to the servo, until it is answered and seen in force.
+"""Commands that were posted to the servo, until they are answered and in force.
 
-Commands are known by servo life and sequence number; scheduled ones wait for their second answer.
-The command server and the guard post through it, so it knows whether any command is on its way.
+Commands are identified by servo life and sequence number; scheduled ones wait for their second
+answer. The command server and the guard post through this module, so it knows all outstanding
+commands.
 """
 
 from typing import NamedTuple
@@ -22,20 +23,20 @@ MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their secon
 
 
 class Pending(NamedTuple):
-    """A posted command whose reply is still to be written."""
+    """A posted command that awaits its reply."""
 
     message: RequestMessage
     actor: int
     life: int  # of the servo it was posted to
     deadline_ns: int
-    change: PendingChange | None = None  # of one that went past the guard
+    change: PendingChange | None = None  # of a command that the guard handled
     answer: Answer | None = None
 
 
 class Outstanding:
-    """By servo life and sequence number.
+    """Outstanding commands, by servo life and sequence number.
 
-    Everything leaves by `due` or `abandon`, scheduled ones by their second answer.
+    Every entry leaves by `due` or `abandon`, scheduled ones by their second answer.
     """
 
     def __init__(self, view: ServoView) -> None:
@@ -47,11 +48,11 @@ class Outstanding:
         return len(self._pending)
 
     def awaits(self, cmd: str) -> bool:
-        """Whether a command of that name has no reply yet."""
+        """Return whether a command of that name has no reply yet."""
         return any(one.message.cmd == cmd for one in self._pending.values())
 
     def asked_by(self, actor: int) -> list[RequestMessage]:
-        """What `actor` asked and the servo has not answered yet."""
+        """Return the requests of `actor` that the servo has not yet answered."""
         mine = (one for one in self._pending.values() if one.actor == actor)
         return [one.message for one in mine if one.answer is None]
 
@@ -65,7 +66,7 @@ class Outstanding:
     ) -> None:
         """Put a command into the servo's ring and keep it until it is answered.
 
-        CommandError: no servo is there, or its ring is full.
+        CommandError: no servo is running, or its ring is full.
         """
         view = self._view
         view.require_servo(message.cmd)
@@ -82,7 +83,7 @@ class Outstanding:
     def take(self, answer: Answer, life: int) -> Pending | None:
         """Note an answer of servo `life`.
 
-        If it is the second one of a scheduled command: that command.
+        Return the command if this is the second answer of a scheduled one.
         """
         key = life, answer.seq
         pending = self._pending.get(key)
@@ -97,15 +98,15 @@ class Outstanding:
         return None
 
     def due(self, tick: int, now_ns: int) -> list[Pending]:
-        """Remove and return what is to be replied to.
+        """Remove and return the commands that are due for a reply.
 
-        That is what was refused or scheduled, is in force at `tick`, or is out of time.
+        These were refused or scheduled, are in force at `tick`, or have timed out.
         """
         ready = [key for key, pending in self._pending.items() if _is_due(pending, tick, now_ns)]
         return [self._pending.pop(key) for key in ready]
 
     def abandon(self, life: int) -> list[Pending]:
-        """Remove and return all that another servo life than `life` was asked.
+        """Remove and return all commands of other servo lives than `life`.
 
         Scheduled commands of other lives are forgotten.
         """
@@ -118,7 +119,7 @@ class Outstanding:
 
 def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     answer = pending.answer
-    # what was refused changes nothing, so it need not wait for a record
+    # a refused command changes nothing, so it need not wait for a record
     answered = answer is not None and (
         answer.result is not Result.APPLIED or tick >= answer.first_tick
     )

@@ -1,7 +1,7 @@
-"""A request on its way past the guard, and the stages into which the worker divides it.
+"""A request that the guard handles, and the stages into which the worker divides it.
 
-`request_queue` keeps one `PendingChange` of each request. The worker is another process: its answer
-is checked before it is used.
+`request_queue` keeps one `PendingChange` for each request. The worker is another process, so its
+answer is checked before it is used.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ __all__ = ["PendingChange"]
 
 @dataclass(slots=True, eq=False)
 class PendingChange:
-    """One request and what became of it so far."""
+    """One request and its progress."""
 
     message: RequestMessage
     actor: int
@@ -33,49 +33,49 @@ class PendingChange:
     at_tick: int = 0
     replied: bool = False
     tries: int = 0
-    # --- since it was asked
+    # --- since the question was asked
     number: int = 0  # of the question, 0: not asked
-    ready_ns: int = 0  # since when it could be asked, 0: not yet
-    terms_changes: int = 0  # by then
-    terms: int = ANY_TERMS  # number of the terms it was judged by
+    ready_ns: int = 0  # time from which it could be asked, 0: not yet
+    terms_changes: int = 0  # at that time
+    terms: int = ANY_TERMS  # number of the terms of the judgement
     policy: str = "off"
-    revision: int | None = None  # of the environment it was judged for
+    revision: int | None = None  # of the judged environment
     answer: dict[str, Any] | None = None
-    ahead: int = 0  # scheduled changes that come into force first
+    ahead: int = 0  # scheduled changes that take effect first
     verdict: dict[str, Any] = field(default_factory=dict)
     stages: tuple[Stage, ...] = ()
     place: int = 0  # of the next stage
-    state: State | None = None  # in which it began
+    state: State | None = None  # at its start
     ramp_end_tick: int = 0
-    seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
-    since_ns: int = 0  # the last stage was posted, or something moved
-    taken_back: str = ""  # why no further stage shall come, while one is with the servo
-    former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
-    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
+    seen: int = 0  # revision of the servo when the wait began, or when the last stage acted
+    since_ns: int = 0  # time at which the last stage was posted, or something moved
+    taken_back: str = ""  # why no further stage follows the one that the servo has
+    former: dict[str, Any] = field(default_factory=dict)  # values restored by a bounded change
+    held: Answer | None = None  # of the servo, kept until the verdict arrives
 
     @property
     def cmd(self) -> str:
-        """The command that was asked."""
+        """The requested command."""
         return self.message.cmd
 
     @property
     def own(self) -> bool:
-        """Whether the guard does it by itself: mode auto."""
+        """Whether the guard itself made the request: mode auto."""
         return self.actor == GATEWAY_ACTOR
 
     @property
     def enables(self) -> bool:
-        """Whether force comes with it."""
+        """Whether the request enables force."""
         return isinstance(self.request, Enable)
 
     @property
     def strict(self) -> bool:
-        """Whether its client has it judged as under `refuse`, the strictest of the policies."""
+        """Whether its client requests judgement under `refuse`, the strictest policy."""
         return isinstance(self.request, Judged) and self.request.strict
 
 
 def forbidden_by(leases: Leases, change: PendingChange) -> CommandError | None:
-    """Why the client of `change` may not change what it asks any more, or what its stages do."""
+    """Return the error if the client of `change` may no longer make this change or its stages."""
     if change.own:
         return None
     error = forbidden(change.request, change.actor, leases)
@@ -87,8 +87,10 @@ def forbidden_by(leases: Leases, change: PendingChange) -> CommandError | None:
 
 
 def ends_force(request: Request, target: Environment) -> bool:
-    """Whether nothing is rendered after `request`, and active damping stays: the set of passive
-    environments is convex and holds 0, so every ramp there is passive where its begin is.
+    """Return whether nothing is rendered after `request`, with the active damping unchanged.
+
+    The set of passive environments is convex and contains 0, so every ramp to 0 is passive if its
+    start is.
     """
     if not isinstance(request, Set) or request.at_tick or request.auto is not None:
         return False
@@ -96,7 +98,7 @@ def ends_force(request: Request, target: Environment) -> bool:
 
 
 def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
-    """The stages of an answer that says to do something. ValueError: they are not understood."""
+    """Return the stages of an answer that requires action. ValueError: the stages are invalid."""
     stages = answer.get("stages")
     if not isinstance(stages, list) or not stages:
         raise ValueError("nothing to be done")

@@ -1,12 +1,13 @@
-"""The K-B plane of a device: at which B a given K withstands every passive hand, at one virtual
-mass, one pair of filters and one level of active damping.
+"""The K-B plane of a device: the range of B at which each K is stable in every passive hand.
 
-A grid of K and B is judged by the basis of the guard (`bases`), the same that answers requests, so
-that what a picture of the plane shows is what the guard would say. For each K the safe values of B
-are taken as one interval, the one nearest to its middle; the set of the theorem is convex for a
-rigid device, and at one delay an interval in B for those that were looked at.
+A plane has one virtual mass, one pair of filters and one level of active damping.
 
-Limitations: an interval of B that is narrower than a step of the grid, which is not seen.
+The basis of the guard (`bases`) judges a grid of K and B, so a picture of the plane agrees with the
+guard's verdicts. For each K the safe values of B are taken as one interval, the longest run. The
+set of the theorem is convex for a rigid device. At one delay it was an interval in B for all
+devices that were examined.
+
+Limitations: an interval of B narrower than a step of the grid is not found.
 """
 
 from collections.abc import Callable
@@ -23,17 +24,17 @@ from hapticd.guard.safe_region import SafeRegion
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B
 _HALVINGS = 5  # of a step of B, towards an edge
-_ROOM = 1.25  # of the axes beyond what is safe, and beyond the environment in force
+_ROOM = 1.25  # length of the axes relative to the safe set and to the environment in force
 
 
 def plane(
     region: SafeRegion, environment: Environment, level_on: float, most_k: float, most_b: float
 ) -> dict[str, Any]:
-    """The edges of the safe B over K, without active damping and with `level_on` [N s/m].
+    """Return the edges of the safe B over K, without active damping and with `level_on` [N s/m].
 
     {K: [..], without: {level, low, high}, with: {level, low, high}, B: [lowest, highest of the
-    axis]}; `low` and `high` hold None where no B is safe. `most_k` [N/m] and `most_b` [N s/m] bound
-    the axes.
+    axis]}; `low` and `high` contain None where no B is safe. `most_k` [N/m] and `most_b` [N s/m]
+    bound the axes.
     """
     stiffness, damping = _axes(region, environment, level_on, most_k, most_b)
     found = {
@@ -46,7 +47,7 @@ def plane(
 def _axes(
     region: SafeRegion, environment: Environment, level_on: float, most_k: float, most_b: float
 ) -> tuple[Floats, Floats]:
-    """K from 0 and B round 0, so that the safe set and the environment in force are inside."""
+    """Return K from 0 and B around 0, with the safe set and the environment in force inside."""
     free = replace(
         environment,
         stiffness_n_per_m=0.0,
@@ -74,7 +75,6 @@ def _end(interval: list[float] | None) -> float:
 def _edges(
     region: SafeRegion, environment: Environment, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
-    """Lowest and highest safe B (columns,) of each K."""
     damped = replace(environment, active_damping_ns_per_m=level)
 
     def safe(at_k: Floats, at_b: Floats) -> Flags:
@@ -101,7 +101,7 @@ def _edges(
 def _bisected(
     safe: Callable[[Floats, Floats], Flags], stiffness: Floats, inside: Floats, outside: Floats
 ) -> Floats:
-    """The last safe B between one that is and one that is not, for each K (n,)."""
+    """Return the last safe B between a safe and an unsafe one, for each K (n,)."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
         held = safe(stiffness, middle)
@@ -111,7 +111,7 @@ def _bisected(
 
 
 def _longest(safe: Flags) -> tuple[int, int] | None:
-    """First and last place of the longest run of true flags; None for none."""
+    """Return the first and last index of the longest run of true flags; None without any."""
     held = np.flatnonzero(safe)
     if not held.size:
         return None

@@ -1,22 +1,23 @@
-"""What the guard does with a change, by the policy in force.
+"""Apply the policy in force to a change.
 
-The first way that is safe is taken (`transition_planner`, judged by `safe_region`). If none is:
+The first safe path is taken (`transition_planner`, judged by `safe_region`). Without a safe path:
 
     refuse   nothing moves
-    clamp    as far as the first exit from the safe set on the way, the result judged again; not for
-             filters, and not from outside
-    follow   for less damping, first the environment shrinks in proportion into the set of that
-             damping, then the damping falls; everything else as refuse
-    warn     done as asked, in the right order, and told
+    clamp    up to the first exit from the safe set on the path, and the result is judged again; not
+             for filters, and not from outside the set
+    follow   for less damping: first the environment shrinks in proportion into the set of that
+             damping, then the damping falls; other changes as refuse
+    warn     done as requested, in the right order, with a warning
     off      not judged
 
-From outside the set a way is also taken on which every point is no worse than the one before it
-(radius, margin and K, in free space and in contact) and the last one is better.
+From outside the set, a path is also accepted if no point is worse than the one before it and the
+last point is better. The measures are radius, margin and K, in free space and in contact.
 
-Mode `auto` takes the least of the kept levels that leaves the margin asked for. It goes down only
-to a level that leaves HYSTERESIS more, so that it does not go up and down with every change.
+Mode `auto` selects the lowest cached level that leaves the required margin. It selects a lower
+level only if that leaves HYSTERESIS more, so that the level does not go up and down with every
+change.
 
-Stages must be judged as they are sent. What a clamp or a follow leaves is a plan of its own, and is
+Stages must be judged as they are sent. The result of a clamp or a follow is a new plan, and is
 judged again.
 """
 
@@ -48,12 +49,12 @@ from hapticd.guard.transition_planner import (
 from hapticd.model.stability import edge
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
-HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
-_HALVINGS = 12  # of the way between the last safe point and the first that is not
-_SHARES = 41  # of the environment that `follow` looks at
-_LEVEL_HALVINGS = 6  # between two kept levels: to some hundredths of N s/m
-_LEAST_MOVE = 1e-3  # of the way: a clamp to less moves nothing
-_WORSE = 1e-9  # a rounding is not worse
+HYSTERESIS_NS_PER_M = 0.05  # above the required margin, before auto selects a lower level
+_HALVINGS = 12  # between the last safe point and the first unsafe one
+_SHARES = 41  # of the environment that `follow` tests
+_LEVEL_HALVINGS = 6  # between two cached levels: to some hundredths of N s/m
+_LEAST_MOVE = 1e-3  # of the path: a clamp to less moves nothing
+_WORSE = 1e-9  # tolerance for rounding
 
 
 def answer_change(
@@ -61,10 +62,10 @@ def answer_change(
     region: SafeRegion | Explanation,
     request: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """The answer to a request `change`: action, stages and verdict (docs/guard.md).
+    """Return the answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `region` is how to judge it, or why nothing is known. AnalysisError for a number that is not
-    finite.
+    `region` is the region to judge by, or the reason why nothing is known. AnalysisError for a
+    number that is not finite.
     """
     planner = _asked(verdicts, request)
     if request["policy"] == "off":
@@ -75,10 +76,10 @@ def answer_change(
 
 
 def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPlanner:
-    """What is asked for: where it starts, with what before and after it, and at which level."""
+    """Return the requested change: its start, the changes before and after it, and its level."""
     setup = verdicts.setup
     state = request["state"]
-    # while an enable still comes up only a part of the environment acts
+    # during the ramp of an enable only a part of the environment acts
     gain = float(request.get("gain", 1.0)) if state == "enabled" else 1.0
     reported = from_message(request["now"], setup.environment)
     now = reported.scaled(gain)
@@ -103,8 +104,8 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
 
 
 def _in_effect(verdicts: VerdictBuilder, reported: float, asked: float) -> float:
-    """The level in effect: that which is asked for, or while it is on its way the kept one below
-    what is reported.
+    """Return the level in effect: the requested one, or during a change the cached level below the
+    reported one.
     """
     if abs(reported - asked) <= verdicts.setup.active_damping_count_ns_per_m:
         return asked
@@ -114,7 +115,7 @@ def _in_effect(verdicts: VerdictBuilder, reported: float, asked: float) -> float
 def _with_level(
     request: Mapping[str, Any], target: Environment, ceiling_ns_per_m: float
 ) -> Mapping[str, Any]:
-    """The change with the level of mode `level`, where it names no other."""
+    """Return the change with the level of mode `level`, unless it contains another."""
     change: Mapping[str, Any] = request["change"]
     level = min(float(request["level"]), ceiling_ns_per_m)
     named = request["mode"] != "level" or "active_damping" in change
@@ -126,8 +127,8 @@ def _with_level(
 def _unjudged(
     verdicts: VerdictBuilder, planner: TransitionPlanner, policy: str, why: Explanation
 ) -> dict[str, Any]:
-    """A change about which nothing is known, or was to be known: refused where safety was asked
-    for, otherwise done in the right order.
+    """Return the answer to a change without a judgement. Strict policies refuse it; the others
+    apply it in the right order.
     """
     wanted = planner.wanted
     given = wanted
@@ -145,7 +146,7 @@ def _unjudged(
 
 
 class _Judged:
-    """A change that is judged, and what the policy makes of it."""
+    """A judged change, and the answer that the policy gives."""
 
     def __init__(
         self,
@@ -167,7 +168,6 @@ class _Judged:
         self.plans = planner.plans()
 
     def answer(self) -> dict[str, Any]:
-        """The first way that is safe, or what the policy makes of it."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
             return self._taken(plan, Outcome.SAFE, explain(self.region, self.wanted, True))
@@ -202,7 +202,7 @@ class _Judged:
         return self.verdicts.of(self.region, self.wanted, self.policy, outcome, why, path, given)
 
     def _trouble(self) -> Explanation:
-        """Why the first way is not safe: its end, or a point on it."""
+        """Return why the first path is unsafe: its end, or a point on it."""
         if not self.region.safe([self.wanted])[0]:
             return explain(self.region, self.wanted, False)
         path = self.path(self.plans[0])
@@ -216,18 +216,18 @@ class _Judged:
         bad = next((one for one, flag in zip(path, flags, strict=True) if not flag), path[-1])
         return explain(self.region, bad, False, "on the way, ")
 
-    # --- damping that is chosen -------------------------------------------------------------------
+    # --- choice of the damping --------------------------------------------------------------------
 
     def _with_auto(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """`change` with the level of mode `auto`, whatever level it names."""
+        """Return `change` with the level of mode `auto`, which replaces any requested level."""
         level = self._least(apply_change(self.target, change))
         rest = {name: value for name, value in change.items() if name != "active_damping"}
         present = self.target.active_damping_ns_per_m
         return rest if level == present else rest | {"active_damping": level}
 
     def _least(self, environment: Environment) -> float:
-        """The least level that will do; down only with some to spare. Where none will, the one
-        with the largest margin, and not less than now.
+        """Return the lowest sufficient level; a lower level than now needs additional margin. If
+        none is sufficient, return the level with the largest margin, at least the present one.
         """
         present = self.target.active_damping_ns_per_m
         needed = self.region.least_level(environment, self.levels)
@@ -247,7 +247,7 @@ class _Judged:
 
         return max(self.levels, key=margin)
 
-    # --- what is safe, or safer -------------------------------------------------------------------
+    # --- safe or safer ----------------------------------------------------------------------------
 
     def _is_safe(self, plan: Plan) -> bool:
         if not self.region.all_safe(self.path(plan)):
@@ -255,8 +255,8 @@ class _Judged:
         return all(self.region.safe(self.planner.mixture(plan)))
 
     def _is_safer(self, plan: Plan) -> bool:
-        """Whether it leads from outside the set to a better point, no point worse than the one
-        before.
+        """Return whether the plan leads from outside the set to a better point, without a point
+        worse than the one before.
         """
         now = self.planner.now
         if self.planner.enable or not self.planner.moving or self.region.safe([now])[0]:
@@ -269,8 +269,9 @@ class _Judged:
         return bool((steps >= -_WORSE).all() and (merits[-1] - merits[0] > _WORSE).any())
 
     def _merit(self, environment: Environment) -> list[float]:
-        """What must not fall on the way to a safer point: K, margin and radius, free and in
-        contact. A basis without margins says nan, which is never better.
+        """Return the values that must not fall on the way to a safer point: K, margin and radius,
+        in free space and in contact. A basis without margins gives nan, which never counts as
+        better.
         """
         free = self.region.reading(environment)
         contact = self.region.in_contact(environment) or free
@@ -285,12 +286,12 @@ class _Judged:
     # --- clamp ------------------------------------------------------------------------------------
 
     def _clamped(self, why: Explanation) -> dict[str, Any]:
-        """As far as the first exit, the result judged again."""
+        """Go up to the first exit, and judge the result again."""
         planner = self.planner
         if "filters" in planner.change:
             return self._not_clamped(why, "filters are not clamped")
         if planner.enable or not planner.moving:
-            return self._not_clamped(why, "there is no way to clamp to")
+            return self._not_clamped(why, "there is no safe change to clamp to")
         if not all(self.region.safe([planner.now, self.target])):
             inside = why.and_remedy(Remedy.POINT_INSIDE, "for a point inside")
             return self._not_clamped(inside, "the environment is outside the safe set already")
@@ -298,7 +299,7 @@ class _Judged:
         if plan.end == self.target:
             return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
-            return self._not_clamped(why, "what is left of it is not safe either")
+            return self._not_clamped(why, "the rest of it is not safe either")
         given = f"given is {self._spare(plan.end)}"
         return self._taken(plan, Outcome.CLAMPED, why.and_reason(Reason.GIVEN, given))
 
@@ -306,11 +307,10 @@ class _Judged:
         return self._refused(why.and_reason(Reason.NOT_CLAMPED, text))
 
     def _spare(self, environment: Environment) -> str:
-        """What a safe environment has to spare, in words."""
         return explain(self.region, environment, True).reasons[0].text
 
     def _shortened(self) -> list[Stage]:
-        """The stages of the first way, each as far as its own part is safe."""
+        """Return the stages of the first path, each up to the end of its safe part."""
         kept: list[Stage] = []
         for stage in self.plans[0].stages:
             segment = self.planner.plan([*kept, stage]).segments[-1]
@@ -322,8 +322,8 @@ class _Judged:
         return kept
 
     def _lowered(self, asked_ns_per_m: float, end: Environment) -> Environment:
-        """`end` with its damping as near to the lower one that is asked as is safe, rounded up to a
-        count: the kept levels lie some tenths of N s/m apart.
+        """Return `end` with its damping as close to the requested lower level as is safe. The level
+        is rounded up to a count. The cached levels are some tenths of N s/m apart.
         """
         safe = end.active_damping_ns_per_m
         unsafe = max((one for one in self.levels if one < safe), default=0.0)
@@ -343,7 +343,7 @@ class _Judged:
         return replace(end, active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
     def _exit(self, segment: Segment) -> float:
-        """The share of a segment up to which all of it is safe."""
+        """Return the share of a segment up to which all of it is safe."""
         levels = self.levels
 
         def holds(share: float) -> bool:
@@ -358,10 +358,9 @@ class _Judged:
     # --- follow -----------------------------------------------------------------------------------
 
     def _followed(self, why: Explanation) -> dict[str, Any]:
-        """The environment into the smaller set first, then less damping."""
         small = None if "filters" in self.planner.change else self._smaller()
         if small is None:
-            text = "no smaller environment would do either"
+            text = "no smaller environment is enough either"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         names = (*AXES, "wall") if self.wanted.wall.side else AXES
         first = Stage({name: small.message()[name] for name in names})
@@ -374,7 +373,9 @@ class _Judged:
         return self._taken(plan, Outcome.FOLLOWED, why.and_reason(Reason.GIVEN, given))
 
     def _smaller(self) -> Environment | None:
-        """The largest share of the environment that is safe with less damping; None for none."""
+        """Return the largest share of the environment that is safe with less damping; None without
+        any.
+        """
         shares = np.linspace(0.0, 1.0, _SHARES).tolist()
         flags = self.region.safe([self.wanted.scaled(share) for share in shares])
         if not any(flags):
@@ -390,7 +391,7 @@ class _Judged:
 def _largest(
     holds: Callable[[float], bool], shares: Sequence[float], halvings: int = _HALVINGS
 ) -> float:
-    """The share at which `holds` first ends on the way along `shares`, the first of which holds."""
+    """Return the share at which `holds` first fails along `shares`; it is true at the first one."""
     inside = shares[0]
     for share in shares[1:]:
         if not holds(share):

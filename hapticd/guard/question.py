@@ -1,7 +1,7 @@
-"""What the guard's worker is asked about a change: the environments in force, what is asked, what
-is scheduled around it, and the terms by which it is judged.
+"""Build the question to the guard's worker about a change.
 
-The worker reads the question in `judge` and `policies`; docs/guard.md describes its fields.
+It contains the environment in force, the change, the changes scheduled around it, and the terms of
+the judgement. The worker reads it in `judge` and `policies`; docs/guard.md describes its fields.
 """
 
 from typing import Any
@@ -17,8 +17,8 @@ Fields = dict[str, Any]  # of an environment, nested as in `set`
 
 
 def former(request: Request, before: list[Fields], target: Environment) -> Fields:
-    """What a bounded change brings back at its end: `target`, with what is scheduled `before` it;
-    {} for one without an end.
+    """Return the values that a bounded change restores at its end: `target`, with the changes
+    scheduled `before` it; {} for a change without an end.
     """
     if not request.end_tick:
         return {}
@@ -35,8 +35,8 @@ def question(
     guard: Guard,
     view: ServoView,
 ) -> dict[str, Any]:
-    """The question about `change`, with what is scheduled `before` and `after` it; `auto`: the
-    guard chooses the level of active damping.
+    """Return the question about `change`, with the changes scheduled `before` and `after` it.
+    `auto`: the guard selects the level of active damping.
     """
     in_force = guard.in_force
     return {
@@ -52,7 +52,7 @@ def question(
         "policy": change.policy,
         "basis": guard.terms.basis,
         "margin_ns_per_m": guard.terms.margin_ns_per_m,
-        "mode": "auto" if auto else "off",  # a level is in the change
+        "mode": "auto" if auto else "off",  # the change contains the level of mode `level`
         "level": in_force.level,
         "delay_periods": guard.delay_periods,
         "ramp_s": ramp_s(change.request, view.params.safety.default_ramp_s),

@@ -16,16 +16,16 @@ from hapticd.protocol.explanation import (
 
 
 def refused(change: PendingChange, why: Explanation) -> CommandError:
-    """The refusal of a change without a verdict."""
+    """Return the refusal of a change without a verdict."""
     verdict = change.verdict | why.plain(Outcome.REFUSED) | {"cmd": change.cmd}
     return CommandError("guard", f"{change.cmd}: {verdict['text']}", guard=verdict)
 
 
 def unknown_refused(change: PendingChange) -> CommandError:
-    """The refusal by a strict policy, with the policy that would accept the change."""
-    remedy = "`hapticd guard warn` would do it all the same"
+    """Return the refusal by a strict policy, with the policy that would accept the change."""
+    remedy = "`hapticd guard warn` would apply it anyway"
     if change.strict:
-        remedy = "under `warn` a client that is not strict would do it all the same"
+        remedy = "under `warn` a client that is not strict could apply it anyway"
     why = explanation_of(change.verdict)
     why = why.and_reason(Reason.POLICY, f"policy {change.policy} refuses that")
     return refused(change, why.and_remedy(Remedy.POLICY, remedy))
@@ -34,7 +34,9 @@ def unknown_refused(change: PendingChange) -> CommandError:
 def verdict_beside(
     change: PendingChange, answer: dict[str, Any] | None, guard: Guard, late: str
 ) -> dict[str, Any]:
-    """The verdict on a change that was posted at once; None: the worker was `late` with it."""
+    """Return the verdict on a change that was posted at once. `answer` None: the worker
+    was `late`.
+    """
     verdict = answer.get("verdict") if answer else None
     if answer is None or not isinstance(verdict, dict):
         why = f"the guard's worker answered: {answer.get('error')}" if answer else late

@@ -1,24 +1,24 @@
-"""Requests that change what is rendered or damped, on their way past the guard.
+"""Queue the requests that change the environment or the damping, until the guard has judged them.
 
     waiting -> asked -> posted, a stage at a time -> in force
        |         |         +-> refused: judged for another environment -> waiting, twice at most
        |         +-> refused, with the verdict
-       +-> too late, or what it waited for is gone
+       +-> timed out, or its servo, client or lease has ended
 
-Under `warn`, where a verdict is information, what needs no stages is posted at once, if nothing
-else waits, and judged beside: its reply waits for both.
+Under `warn`, where a verdict is information, a change that needs no stages is posted at once if no
+other request waits. It is judged in parallel, and its reply waits for answer and verdict.
 
-They go one after the other. Each is judged when no command is on its way, so that the newest record
-and the last answer tell of the same environment, and is posted with the revision of that
-environment: the servo refuses it if it is another one by then (policies clamp, refuse, follow). All
-other requests pass by; a stop, a disable and whatever else changes the state first takes back each
-enable that waits, for an enable must not come after what was asked after it.
+Requests are handled one after the other. Each is judged while no command is outstanding, so that
+the newest record and the last answer belong to the same environment. It is posted with the revision
+of that environment, and the servo refuses it if the revision has changed (policies clamp, refuse,
+follow). All other requests bypass the queue. A stop, a disable and any other change of state first
+cancels each waiting enable, because an enable must not follow a later request.
 
-A client may have its own requests judged as under `refuse`, whatever the policy is (`strict`).
+A client may have its own requests judged as under `refuse`, under any policy (`strict`).
 
-A change of several stages goes on by itself (`stages`) while the next ones are judged. What was
-judged by other terms (policy, basis, margin) and is still to come, as a stage or scheduled, is
-cancelled where the policy is strict.
+A change of several stages continues on its own (`stages`) while the next ones are judged. Under a
+strict policy, stages and scheduled changes that were judged by other terms (policy, basis, margin)
+are cancelled.
 
 Each request has a deadline. A verdict counts only while policy and environment are the same.
 """
@@ -52,22 +52,22 @@ __all__ = ["GuardedQueue"]
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
-# until its verdict is acted on: its turn, the verdict, and the answer to the command before it
+# until its verdict takes effect: its turn, the verdict, and the answer to the command before it
 JUDGING_NS = 2 * NS_PER_S + VERDICT_NS
-TRIES = 2  # again, after another change came in between
+TRIES = 2  # further ones, if another change took effect meanwhile
 JUDGED_OTHERWISE = frozenset({Result.REFUSED_REVISION, Result.REFUSED_TERMS})
-CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
+CHOICE_NS = 5 * NS_PER_S  # between choices of the level in mode auto while nothing changes
 LEAST_CHOICE_NS = NS_PER_S
-SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # that a request waits for the delay to be known
+SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # maximum wait of a request for a known delay
 UNSETTLED = "the delay of the loop is not measured yet; ask again"
-SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
+SERVO_GONE = "the servo ended before the change was in force; after its restart it is disabled"
 
 
 class GuardedQueue:
-    """The queue of requests to be judged, and the change of several stages that is under way.
+    """The queue of requests to be judged, and the multi-stage change in progress.
 
-    Commands go into the servo's ring by `outstanding`; their answers come back by `answered`.
-    `leases` are looked at in every pass: whose lease has ended does not go on.
+    Commands go into the servo's ring by `outstanding`; their answers return by `answered`. Every
+    pass checks `leases`: a request ends with the lease of its client.
     """
 
     def __init__(
@@ -90,27 +90,27 @@ class GuardedQueue:
         self._under_way = StagedChange(view, outstanding, self._replies)
         self._scheduled = ScheduledChanges()  # of the present servo life
         self._life = 0
-        self._latched = False  # whether the servo was when it was last looked at
+        self._latched = False  # state of the servo at the last pass
         self._terms_sent = (0, ANY_TERMS)  # servo life, number of the terms that it knows
-        self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
+        self._chosen_ns = -CHOICE_NS  # time of the last choice in mode auto
         self._chosen_for: tuple[Any, ...] = ()
 
     @property
     def waiting(self) -> bool:
-        """Whether a verdict is due, or a request that has not been judged."""
+        """Whether a verdict is due, or a request has not yet been judged."""
         return bool(self._asked or self._beside or self._queue)
 
     def summary(self) -> dict[str, Any]:
-        """What `status` tells."""
+        """Return the part of `status` about the queue."""
         waiting = len(self._queue) + (self._asked is not None)
         return {"waiting": waiting, "under_way": self._under_way.summary()}
 
     # --- in ---------------------------------------------------------------------------------------
 
     def take(self, change: PendingChange, now_ns: int, idle: bool) -> None:
-        """A request has come; `idle`: no command is on its way.
+        """Take a request; `idle`: no command is outstanding.
 
-        CommandError: it is refused at once, nothing happens.
+        CommandError: the request is refused at once, and nothing happens.
         """
         if not self.waiting and not self._asks(change):
             self._unjudged(change, now_ns)
@@ -124,12 +124,12 @@ class GuardedQueue:
         self._queue.append(change)
 
     def _goes_at_once(self, change: PendingChange) -> bool:
-        """Whether it is done whatever the verdict says, and in one stage."""
+        """Return whether it can be applied at once, in one stage and under any verdict."""
         guard = self._guard
         whole = len(changed_parts(change.request)) == 1
         plain = whole and not change.at_tick and not self._auto(change)
         plain = plain and not change.request.end_tick
-        # a look, or the search for a hand, delays the reply alone
+        # a look, or the search for a hand, delays only the reply
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.change is None
         return self._policy(change) == "warn" and plain and ready and free
@@ -145,12 +145,11 @@ class GuardedQueue:
         self._beside = change
 
     def _post(self, change: PendingChange, now_ns: int) -> None:
-        """Post `change` as it is asked."""
         what = posting(change.request, 0)
         self._outstanding.post(change.message, change.actor, what, now_ns, change)
 
     def _hear_beside(self, change: PendingChange, now_ns: int) -> None:
-        """The reply to what is in force already, once its verdict is there or too late."""
+        """Reply to a change that is already in force, once its verdict has arrived or is late."""
         guard = self._guard
         answer = guard.answer(change.number)
         late = guard.worker != "up" or now_ns - change.ready_ns >= VERDICT_NS
@@ -165,15 +164,15 @@ class GuardedQueue:
             self._replies.append(reply)
 
     def take_back_enables(self, why: str) -> None:
-        """Refuse the enables that wait, because the command `why` was asked later."""
+        """Refuse the waiting enables, because the command `why` was sent later."""
         for change in self._waits():
             if change.enables:
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
         self._under_way.take_back(lambda change: change.enables, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
-        """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
-        stages of a change that it knows of.
+        """Drop the requests of `actor`, whose connection has ended. A change in progress continues,
+        unless it enables force.
         """
         for change in self._waits_of(actor):
             self._drop(change)
@@ -182,25 +181,24 @@ class GuardedQueue:
         )
 
     def heard(self, answer: Answer) -> None:
-        """Forget the scheduled change that an answer is the last one to, and with it an end that
-        does not come.
+        """Forget the scheduled change of a last answer, with its end if the change was
+        not applied.
         """
         if answer.result is not Result.SCHEDULED:
             self._scheduled.close(answer.seq, answer.result is Result.APPLIED)
 
     def give_up(self, actor: int) -> None:
-        """The client `actor` has failed: of what it asked nothing more is posted."""
+        """Refuse the remaining requests of the client `actor`, which has failed."""
         why = "its client has failed"
         for change in self._waits_of(actor):
             self._end(change, "refused", why)
         self._under_way.take_back(lambda change: change.actor == actor, why)
 
     def _waits(self) -> list[PendingChange]:
-        """What has no verdict yet, in the order in which it came."""
+        """Return the requests without a verdict, in order of arrival."""
         return [*self._queue] if self._asked is None else [self._asked, *self._queue]
 
     def _waits_of(self, actor: int) -> list[PendingChange]:
-        """The same, as far as the client `actor` asked it."""
         return [one for one in self._waits() if one.actor == actor]
 
     def _drop(self, change: PendingChange) -> None:
@@ -213,7 +211,7 @@ class GuardedQueue:
     # --- onwards ----------------------------------------------------------------------------------
 
     def advance(self, now_ns: int, idle: bool) -> list[ChangeReply]:
-        """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
+        """Advance as far as possible; return the replies. `idle`: no command is outstanding."""
         self._forget_other_lives()
         self._forget_who_may_not()
         self._forget_scheduled_at_a_stop()
@@ -241,7 +239,7 @@ class GuardedQueue:
         if self._beside is not None and self._beside.held is not None:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
             self._replies.append(ChangeReply(self._beside, CommandError("servo_down", text)))
-        self._beside = None  # without an answer the command server has told its end
+        self._beside = None  # without an answer, the command server has reported its end
         for change in filter(None, (*self._queue, self._asked, self._under_way.change)):
             if change.life != life:
                 self._end(change, "servo_down", SERVO_GONE)
@@ -252,7 +250,7 @@ class GuardedQueue:
                 self._give_back(change, error)
 
     def _forget_scheduled_at_a_stop(self) -> None:
-        """A stop or fault cancels what is to be scheduled, as the servo cancels what is."""
+        """Cancel waiting scheduled changes at a stop or fault, as the servo cancels its own."""
         latched = self._view.state in LATCHED
         if latched and not self._latched:
             for change in self._waits():
@@ -261,8 +259,8 @@ class GuardedQueue:
         self._latched = latched
 
     def _forget_other_terms(self) -> None:
-        """Under a strict policy nothing comes into force that was judged by other terms, or
-        scheduled through a gateway before this one.
+        """Under a strict policy, cancel changes that were judged by other terms, or scheduled
+        through an earlier gateway.
         """
         number = self._guard.terms_number
         change = self._under_way.change
@@ -298,22 +296,22 @@ class GuardedQueue:
         self._replies.append(ChangeReply(change, error))
 
     def _policy(self, change: PendingChange) -> str:
-        """The policy that `change` goes by: the one in force, or `refuse` where its client asks for
+        """Return the policy for `change`: the one in force, or `refuse` if its client requests
         that.
         """
         return "refuse" if change.strict else self._guard.policy
 
     def _must(self, change: PendingChange) -> bool:
-        """Whether `change` is refused unless it is known to be safe."""
+        """Return whether `change` is refused unless it is known to be safe."""
         return self._policy(change) in STRICT_POLICIES
 
     def _asks(self, change: PendingChange) -> bool:
-        """Whether a worker is there to be asked, and the policy wants it."""
+        """Return whether the policy needs a verdict and a worker is available."""
         wanted = self._policy(change) != "off" or self._auto(change)
         return wanted and self._guard.worker in ("up", "starting")
 
     def _auto(self, change: PendingChange) -> bool:
-        """Whether the level of damping is the guard's to choose once `change` is in force."""
+        """Return whether the guard selects the level of damping once `change` is in force."""
         asked = change.request.auto
         return self._guard.mode == "auto" if asked is None else asked
 
@@ -334,8 +332,9 @@ class GuardedQueue:
             self._try_unjudged(self._queue.popleft(), now_ns, self._late())
 
     def _waits_for_stages(self, change: PendingChange) -> bool:
-        """Whether it is judged after the stages under way: what is scheduled, with the force that
-        an enable brings; an enable, with what is in force by then.
+        """Return whether `change` is judged after the stages in progress. An enable is, with the
+        environment that is in force by then. So is a scheduled change if an enable is in progress,
+        with the force that it brings.
         """
         under_way = self._under_way.change
         if under_way is None:
@@ -343,14 +342,13 @@ class GuardedQueue:
         return change.enables or (bool(change.at_tick) and under_way.enables)
 
     def _late(self) -> str:
-        """Why there is no verdict from a worker that was asked, or could not be."""
         late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s:"
         late += " the computer is busy; ask again"
         return late if self._guard.worker == "up" else ""
 
     def _choose_level(self, now_ns: int) -> None:
-        """Mode auto: judge again what is in force when the delay has changed, or now and then; not
-        where the energy controller has the say, until a change asks again.
+        """In mode auto, judge the environment in force again: after a change of the delay, and
+        every CHOICE_NS. After an action of the energy controller, wait for the next change.
         """
         guard = self._guard
         about = self._life, guard.in_force.revision, guard.delay_periods
@@ -385,7 +383,7 @@ class GuardedQueue:
         self._asked = change
 
     def _hear(self, change: PendingChange, now_ns: int, idle: bool) -> None:
-        """Act on the verdict for `change` once it is there and nothing else is on its way."""
+        """Act on the verdict for `change` once it has arrived and no command is outstanding."""
         change.answer = change.answer or self._guard.answer(change.number)
         if change.answer is not None:
             if idle and self._guard.in_force.known:
@@ -397,7 +395,7 @@ class GuardedQueue:
             self._try_unjudged(change, now_ns, self._late())
 
     def _take_verdict(self, change: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
-        """Go by `answer`, or ask again if it is about what is no more."""
+        """Act on `answer`, or ask again if its terms or environment are outdated."""
         guard = self._guard
         if change.terms_changes != guard.terms_changes or change.policy != self._policy(change):
             change.ready_ns = 0
@@ -434,7 +432,6 @@ class GuardedQueue:
             self._start(change, now_ns)
 
     def _start(self, change: PendingChange, now_ns: int) -> None:
-        """Post the first stage of `change`, or have it wait."""
         if change.request.end_tick and len(change.stages) > 1:
             text = (
                 f"{change.cmd}: with an end it needs one stage, and would take {len(change.stages)}"
@@ -445,7 +442,9 @@ class GuardedQueue:
         self._under_way.start(change, now_ns)
 
     def _changes(self, change: PendingChange) -> bool:
-        """Whether the stages of `change` lead anywhere else than the ramps in force."""
+        """Return whether the stages of `change` lead to another target than the ramps in
+        progress.
+        """
         before = self._guard.in_force.target()
         after = before
         for stage in change.stages:
@@ -457,7 +456,7 @@ class GuardedQueue:
     def _stages(self, change: PendingChange, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)
         if change.enables and found[-1].change:
-            return (*found, Stage({}, None, False))  # force comes on once all of it is in force
+            return (*found, Stage({}, None, False))  # enable force last
         return found
 
     def _want_hand(self, change: PendingChange) -> None:
@@ -480,7 +479,7 @@ class GuardedQueue:
             self._replies.append(ChangeReply(change, error))
 
     def _unjudged(self, change: PendingChange, now_ns: int, why: str = "") -> None:
-        """Post it as asked, or refuse it, as the policy says."""
+        """Post the change as requested, or refuse it, according to the policy."""
         guard = self._guard
         change.policy = self._policy(change)
         change.terms_changes = guard.terms_changes
@@ -498,21 +497,22 @@ class GuardedQueue:
             self._under_way.supersede(change)
         self._post(change, now_ns)
         if change.at_tick:
-            self._terms_sent = (0, ANY_TERMS)  # no terms came with it: those that count go after it
+            self._terms_sent = (0, ANY_TERMS)  # posted without terms: send those in force after it
 
     # --- answers ----------------------------------------------------------------------------------
 
     def answered(
         self, change: PendingChange, answer: Answer, now_ns: int, scheduled: bool = False
     ) -> ChangeReply | None:
-        """What the servo's `answer` to the last stage of `change` means; None: more is to come.
+        """Return the reply to the servo's `answer` to the last stage of `change`; None: more is to
+        come.
 
-        `scheduled`: it is the second answer, to a change that was scheduled.
+        `scheduled`: this is the second answer, to a scheduled change.
         """
         result = answer.result
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
-            # in force, whatever its verdict: mode auto must not choose again meanwhile
+            # in force under any verdict: mode auto must not choose again meanwhile
             self._guard.set_auto(self._auto(change))
             return None
         if result is Result.SCHEDULED:
@@ -544,10 +544,12 @@ class GuardedQueue:
         return ChangeReply(change, receipt=receipt(answer))
 
     def _again(self, change: PendingChange, now_ns: int) -> None:
-        """Another change came first: judge it anew, before those that came later."""
+        """Queue `change` to be judged again, ahead of later ones, because another change took
+        effect first.
+        """
         change.tries += 1
         change.came_ns = now_ns
         change.number = change.place = change.ready_ns = 0
         if change.at_tick <= self._view.tick and not change.request.end_tick:
-            change.at_tick = 0  # a bounded change that is late is refused: it was to last so long
+            change.at_tick = 0  # a late bounded change is refused: its duration would be wrong
         self._queue.appendleft(change)

@@ -1,13 +1,15 @@
-"""The safe region of a device: whether environments are safe, by how much, and how far each of K, B
-and M may go; what a device renders of each alone, and what of K its delay costs.
+"""The safe region of a device: which environments are safe, their margin, and the allowed ranges of
+K, B and M.
 
-An environment is safe if its K, B, M in free space and those in its wall are, by a basis (`bases`),
-at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
-finer towards the environment's own value, and then between its last two points at either end.
+It also gives the passive range of each parameter alone, and the stiffness that the delay costs.
 
-Limitations: a device that renders nothing of one axis alone and much of it beside another; a delay
-that changes from tick to tick; or a hand that makes and breaks contact with the wall in step with
-its motion: each side is judged for itself, and neither is covered.
+An environment is safe if the basis (`bases`) judges its K, B, M safe in free space and in its wall,
+at each delay considered. The grid for a range gets finer towards the environment's own value. Each
+end is then refined between its last two grid points.
+
+Limitations: a delay that changes from tick to tick; a hand that makes and breaks contact with the
+wall in step with its motion, because each side is judged separately; a device that renders nothing
+of one axis alone, and much of it together with another.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,19 +29,21 @@ from hapticd.model.model import Model
 
 __all__ = ["passive_ranges", "ranges_of"]
 
-_GRID = 40  # distances at which an axis is looked at, on either side
-_FINER = 9  # values between the last that holds and the first that does not, three times
-_INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to be sure
+_GRID = 40  # grid distances on either side of a value
+_FINER = 9  # values between the last safe and the first unsafe one, three times
+_INSIDE = 1e-3  # of an interval: distance of a check from its end
 NONE = np.zeros(0)
-IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left
+IDEAL_PERIODS = 0.0  # the force acts at its sample; only the hold remains as a delay
 
-Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: nothing is passive
+Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: no passive value
 
 
 @dataclass(frozen=True)
 class SafeRegion:
-    """Displays judged by one basis, with one margin asked for, at one delay or at two: more delay
-    makes a negative virtual mass easier, so the longest alone is not the worst.
+    """Displays judged on one basis, with one required margin, at one or two delays.
+
+    A longer delay makes a negative virtual mass easier to render, so the longest alone is not the
+    worst case.
     """
 
     basis: Basis
@@ -47,7 +51,7 @@ class SafeRegion:
     spare_ns_per_m: float
 
     def conditions(self, environment: Environment) -> list[Conditions]:
-        """Those of one environment, by delay."""
+        """Return the conditions of one environment, by delay."""
         return [
             Conditions(
                 environment.active_damping_ns_per_m, environment.filters, delay, self.spare_ns_per_m
@@ -56,7 +60,7 @@ class SafeRegion:
         ]
 
     def safe(self, environments: Sequence[Environment]) -> list[bool]:
-        """Whether each is safe, in free space and in contact."""
+        """Return whether each environment is safe, in free space and in contact."""
         found = [True] * len(environments)
         groups: dict[Conditions, list[tuple[int, Point]]] = {}
         for place, environment in enumerate(environments):
@@ -70,15 +74,15 @@ class SafeRegion:
         return found
 
     def all_safe(self, path: Sequence[Environment]) -> bool:
-        """Whether a way is safe; one without points is not known to be."""
+        """Return whether a path is safe; a path without points is not known to be."""
         return bool(path) and all(self.safe(path))
 
     def reading(self, environment: Environment) -> Reading:
-        """How safe it is in free space."""
+        """Return the safety in free space."""
         return self._read(environment.free, environment)
 
     def in_contact(self, environment: Environment) -> Reading | None:
-        """How safe it is in its wall; None without one."""
+        """Return the safety in the wall; None without one."""
         point = environment.contact
         return None if point is None else self._read(point, environment)
 
@@ -88,7 +92,7 @@ class SafeRegion:
         return min(known, key=lambda one: one.margin_ns_per_m or 0.0) if known else found[0]
 
     def worse(self, environment: Environment) -> Reading:
-        """The reading of free space or contact, whichever has less margin."""
+        """Return the reading of free space or contact with the smaller margin."""
         free = self.reading(environment)
         contact = self.in_contact(environment)
         if contact is None or contact.margin_ns_per_m is None or free.margin_ns_per_m is None:
@@ -96,7 +100,9 @@ class SafeRegion:
         return contact if contact.margin_ns_per_m < free.margin_ns_per_m else free
 
     def least_level(self, environment: Environment, levels: Sequence[float]) -> float | None:
-        """The least of `levels` (rising) at which it is safe; None for none."""
+        """Return the lowest of `levels` (rising) at which the environment is safe; None without
+        any.
+        """
         return next(
             (
                 level
@@ -107,10 +113,10 @@ class SafeRegion:
         )
 
     def allowed(self, environment: Environment, limits: EnvironmentLimits) -> Ranges:
-        """How far each of K, B, M may go with the others as they are, within `limits`: the interval
-        round its value if that is safe, else the nearest that is, None for none.
+        """Return the allowed range of each of K, B, M with the others unchanged, within `limits`.
 
-        Ends are safe themselves, and lie within a thousandth of a step of the grid.
+        It is the interval around the value if that is safe, otherwise the nearest safe interval, or
+        None. The ends are safe, and accurate to a thousandth of a step of the grid.
         """
         points = [np.array(point) for point in environment.points()]
         cases = list(product(points, self.conditions(environment)))
@@ -129,7 +135,7 @@ class SafeRegion:
 
 
 def _moved(point: Floats, axis: int, values: Floats, environment: Environment) -> Floats:
-    """The point (N, 3) with one of the environment's K, B, M at other values (N,)."""
+    """Return the point (N, 3) with one of the environment's K, B, M at other values (N,)."""
     moved = np.tile(point, (len(values), 1))
     moved[:, axis] += values - environment.free[axis]
     return moved
@@ -141,7 +147,7 @@ def _passive(
     level_ns_per_m: float,
     delays_periods: tuple[float, ...],
 ) -> Ranges:
-    """What is passive of K, B and M, each alone, within WIDEST."""
+    """Return the passive range of K, B and M, each alone, within WIDEST."""
     velocity, acceleration = filters
     free = Environment(
         velocity_filter=velocity,
@@ -154,17 +160,19 @@ def _passive(
 def passive_ranges(
     model: Model, filters: tuple[FilterParams, FilterParams], level_ns_per_m: float
 ) -> Ranges:
-    """What `model` renders passively at that level of active damping, within WIDEST: for every
-    input and without friction. What is measured or predicted may reach further by a few times, not
-    by the factor of a mistaken unit.
+    """Return the passive ranges of `model` at that level of active damping, within WIDEST.
 
-    `filters` are those of velocity and acceleration.
+    They hold for every input, without friction. Measured or predicted ranges may be a few times
+    larger, but not by the factor of a mistaken unit. `filters` are those of velocity and
+    acceleration.
     """
     return _passive(Theorem(model), filters, level_ns_per_m, (model.delay_periods,))
 
 
 def ranges_of(setup: GuardSetup) -> Ranges:
-    """Those of the guard's device with the most active damping that its file allows."""
+    """Return the ranges of the guard's device with the highest active damping that its
+    file allows.
+    """
     if setup.model is None:
         return {}
     ceiling = setup.active_damping_limit_ns_per_m
@@ -177,10 +185,10 @@ def timing_cost(
     level_ns_per_m: float,
     delays_periods: tuple[float, ...],
 ) -> dict[str, Any]:
-    """The largest K with B = M = 0 at that level of active damping and at all `delays_periods`, the
-    longest first, beside the largest K without any delay.
+    """Return the largest K without any delay, and at all `delays_periods`, the longest first.
 
-    A delay that varies is outside the theorem: that both ends are passive is a convention.
+    B = M = 0, at that level of active damping. The theorem does not cover a varying delay;
+    requiring passivity at both ends is a convention.
     """
 
     def stiffest(delays: tuple[float, ...]) -> float:
@@ -197,18 +205,18 @@ def timing_cost(
     }
 
 
-Asked = Callable[[list[Floats], bool], list[Flags]]  # values of several axes; for sure, or not yet
+Asked = Callable[[list[Floats], bool], list[Flags]]  # values of several axes; full test or cheap
 
 
 def intervals(
     safe: Asked, ranges: Sequence[tuple[float, float]], at: Sequence[float]
 ) -> list[list[float] | None]:
-    """For each axis the connected interval round its value `at` in which `safe` holds, or the
-    nearest one, inside its range. All axes are asked together.
+    """Return for each axis the connected interval around its value `at` in which `safe` holds.
 
-    `safe` may first hope, where that is cheaper; ends and middle of what is found are then made
-    sure of. An axis that fails there is looked at again with nothing hoped, so an axis whose own
-    value is safe always has an interval.
+    If the value is outside, it is the nearest interval inside the range of the axis. All axes are
+    evaluated together. The first pass uses the cheaper necessary condition; ends and middle of its
+    intervals are then verified. An axis that fails is searched again with the full test, so an axis
+    whose own value is safe always has an interval.
     """
     grids = [_grid(low, high, one) for (low, high), one in zip(ranges, at, strict=True)]
     found: list[list[float] | None] = [None] * len(grids)
@@ -228,15 +236,16 @@ def intervals(
 def _made_sure(
     safe: Asked, ends: dict[int, list[float]], at: Sequence[float]
 ) -> dict[int, list[float] | None]:
-    """What is sure of the intervals of some of the axes, which are at `at`."""
+    """Return the verified parts of the intervals of some axes, whose own values are `at`."""
     checks = [_checks(ends[axis], own) if axis in ends else NONE for axis, own in enumerate(at)]
     flags = safe(checks, True)
     return {axis: _sure(checks[axis], flags[axis]) for axis in ends}
 
 
 def _checks(ends: list[float], own: float) -> Floats:
-    """Where an interval is made sure of: at its middle, at each end or a little inside, for an
-    end is an estimate, and at the value inside that is the environment's own.
+    """Return the six values at which an interval is verified. They are its middle, each end and a
+    point slightly inside each end, because an end is an estimate, and the value inside it that is
+    nearest to the environment's own.
     """
     start, end = ends
     inside = start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])
@@ -244,7 +253,7 @@ def _checks(ends: list[float], own: float) -> Floats:
 
 
 def _sure(values: Floats, flags: Flags) -> list[float] | None:
-    """What is sure of an interval that was looked at in six places; None if nothing is."""
+    """Return the verified part of an interval that was tested at six values; None without any."""
     first, near, middle, far, last, _ = flags.tolist()
     if not (middle and (first or near) and (far or last)):
         return None
@@ -259,7 +268,7 @@ def _grid(low: float, high: float, at: float) -> Floats:
 
 
 def _run(values: Floats, flags: Flags, at: float) -> tuple[int, int] | None:
-    """First and last place of the run of true flags that is nearest to `at`."""
+    """Return the first and last index of the run of true flags that is nearest to `at`."""
     held = np.flatnonzero(flags)
     if not held.size:
         return None
@@ -273,7 +282,6 @@ def _run(values: Floats, flags: Flags, at: float) -> tuple[int, int] | None:
 def _refined(
     safe: Asked, grids: list[Floats], runs: Mapping[int, tuple[int, int] | None], sure: bool
 ) -> dict[int, list[float]]:
-    """Both ends of each run, nearer to where it stops."""
     inside = {}
     outside = {}
     for axis, run in runs.items():

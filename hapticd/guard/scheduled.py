@@ -1,7 +1,7 @@
-"""Changes that the servo holds for later ticks: a new one is judged with those before and after it.
+"""The changes that the servo holds for later ticks; a new change is judged together with them.
 
-A bounded change is two of them: what it asks for, and what comes back at its end. That end is known
-by the negative number of its command.
+A bounded change counts as two: the requested values, and their restoration at its end. The end has
+the negative number of the command.
 
 A change must not be kept after its servo has ended: every later verdict would count it.
 """
@@ -26,21 +26,25 @@ class ScheduledChanges:
         self._changes: dict[int, ScheduledChange] = {}
 
     def clear(self) -> None:
-        """Another servo holds none of them."""
+        """Forget all changes: a new servo holds none."""
         self._changes.clear()
 
     def add(self, tick: int, seq: int, fields: dict[str, Any]) -> None:
-        """Command `seq` changes `fields` at `tick`."""
+        """Note that command `seq` changes `fields` at `tick`."""
         self._changes[seq] = ScheduledChange(tick, seq, fields)
 
     def close(self, seq: int, applied: bool) -> None:
-        """The second answer to command `seq` is there; what was not `applied` needs no end."""
+        """Remove command `seq` after its second answer; if it was not `applied`, remove its end
+        too.
+        """
         self._changes.pop(seq, None)
         if not applied:
             self._changes.pop(-seq, None)
 
     def ends(self, at_tick: int, until_tick: int) -> list[dict[str, Any]]:
-        """What the ends of changes in force at `at_tick` bring back up to `until_tick`."""
+        """Return the values that ends of changes in force at `at_tick` restore up to
+        `until_tick`.
+        """
         waiting = {one.seq for one in self._changes.values() if one.tick > at_tick}
         return [
             one.fields
@@ -49,8 +53,8 @@ class ScheduledChanges:
         ]
 
     def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
-        forgotten.
+        """Return the changes due up to `at_tick`, and those after it. Changes due at the present
+        `tick` or earlier are forgotten.
         """
         self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
         booked = self._in_order()
@@ -58,5 +62,4 @@ class ScheduledChanges:
         return before, [one.fields for one in booked[len(before) :]]
 
     def _in_order(self) -> list[ScheduledChange]:
-        """As the servo applies them: by tick, then by command."""
         return sorted(self._changes.values(), key=lambda one: (one.tick, abs(one.seq)))

@@ -1,10 +1,10 @@
-"""The change of several stages that is under way: one at a time, or none.
+"""Apply a change of several stages; at most one such change is in progress.
 
-It is answered with its first stage; what became of it is told by an event. A stage waits for what
-the board reports in effect (active damping) and for the ramps of the one before it, never for a
-timer. Each is posted with the revision of the environment that it was judged for (policies clamp,
-refuse, follow). A newer request supersedes what is left; the end of the state in which it began
-cancels it. What is in force then stays.
+The first stage is answered with a receipt, and an event reports the outcome. A stage waits for the
+active damping that the board reports, and for the ramps of the stage before, never for a timer.
+Each is posted with the revision of the environment for which it was judged (policies clamp, refuse,
+follow). A newer request replaces the remaining stages; they are cancelled if the servo leaves the
+state in which the change began. The environment in force then remains.
 
 Each stage is posted by the newest record alone, and has a deadline.
 """
@@ -39,12 +39,12 @@ PASS_THROUGH_FIELDS = (
     "ramp_s",
     "limit_cycle_faults",
     "until_tick",
-)  # fields of `set` that come along with what is judged
-STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
+)  # fields of `set` that are passed on unjudged
+STAGE_NS = 2 * NS_PER_S  # in addition to the rise time of the damping
 
 
 class ChangeReply(NamedTuple):
-    """What is to be said of a change: a refusal, or a receipt."""
+    """The reply to a change: an error, or a receipt."""
 
     change: PendingChange
     error: CommandError | None = None
@@ -52,7 +52,7 @@ class ChangeReply(NamedTuple):
 
 
 def ramp_s(request: Request, default_s: float) -> float:
-    """Time that the ramps of `request` take, s."""
+    """Return the duration of the ramps of `request`, s."""
     return float(request.given.get("ramp_s", default_s))
 
 
@@ -62,8 +62,8 @@ class StagedChange:
     def __init__(
         self, view: ServoView, outstanding: Outstanding, replies: list[ChangeReply]
     ) -> None:
-        self.change: PendingChange | None = None  # whose next stage waits
-        # whose stage was posted last; its answer may be due
+        self.change: PendingChange | None = None  # the one whose next stage waits
+        # the one whose stage was posted last; its answer may be due
         self._posted: PendingChange | None = None
         self._view = view
         self._outstanding = outstanding
@@ -72,7 +72,7 @@ class StagedChange:
         self.resolution_ns_per_m = abs(view.params.device.active_damping.per_count) / 2 + 1e-6
 
     def summary(self) -> dict[str, Any] | None:
-        """What `status` tells; None while nothing is under way."""
+        """Return the part of `status` about the change; None without one."""
         change = self.change
         if change is None:
             return None
@@ -85,7 +85,7 @@ class StagedChange:
         }
 
     def start(self, change: PendingChange, now_ns: int) -> None:
-        """Post the first stage of `change`, or wait for what it waits for."""
+        """Post the first stage of `change`, or wait until its condition is met."""
         request = change.request
         expected = request.given.get("if_rev")
         if expected is not None and expected != self._view.revision:
@@ -106,7 +106,7 @@ class StagedChange:
             self._replies.append(ChangeReply(change, receipt=self._standing("staged")))
 
     def advance(self, now_ns: int, free: bool) -> None:
-        """The next stage, if it is time and nothing else is on its way (`free`)."""
+        """Post the next stage if it is due and no command is outstanding (`free`)."""
         change = self.change
         if change is None:
             return
@@ -131,7 +131,7 @@ class StagedChange:
             self.cancel(f"the next stage waited too long: {lacks}")
 
     def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
-        """Post no further stage of a change that is `concerned`, because of `why`."""
+        """Post no further stage of a `concerned` change, because of `why`."""
         change = self.change
         if change is not None and concerned(change):
             self.cancel(why)
@@ -140,8 +140,8 @@ class StagedChange:
             posted.taken_back = why
 
     def taken_back(self, change: PendingChange) -> ChangeReply:
-        """What is to be said of `change`, of which a stage came into force after it was taken back;
-        force does not come.
+        """Return the reply for `change`, one stage of which took effect after it was taken back.
+        Force is not enabled.
         """
         self.change = None
         text = f"{change.taken_back}; what is in force stays"
@@ -150,13 +150,13 @@ class StagedChange:
         return ChangeReply(change, CommandError("refused", f"{change.cmd}: {text}; ask again"))
 
     def supersede(self, by: PendingChange) -> None:
-        """`by` comes into force: what is left is not done."""
+        """Drop the remaining stages, because `by` takes effect."""
         if self.change is by:
             self.change = None
         self.cancel(f"a newer {by.cmd} of actor {by.actor} came", "superseded")
 
     def cancel(self, why: str, result: str = "cancelled") -> None:
-        """What is left is not done, because of `why`."""
+        """Drop the remaining stages, because of `why`."""
         change = self.change
         self.change = None
         if change is not None:
@@ -164,7 +164,7 @@ class StagedChange:
             self._replies.append(ChangeReply(change, receipt=self._standing(result, text)))
 
     def applied(self, change: PendingChange, answer: Answer, now_ns: int) -> bool:
-        """A stage of `change` is in force; whether there are more."""
+        """Note that a stage of `change` is in force; return whether there are more."""
         change.place += 1
         change.ramp_end_tick = answer.ramp_end_tick
         change.seen = answer.revision
@@ -177,7 +177,6 @@ class StagedChange:
         return True
 
     def _met(self, change: PendingChange) -> bool:
-        """Whether what the next stage waits for is there, as the newest record has it."""
         stage = change.stages[change.place]
         record = self._view.record
         moving = int(record["flags"]) & IN_MOTION
@@ -196,7 +195,9 @@ class StagedChange:
         )
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
-        """A receipt of what is in force, for what has no answer of the servo of its own."""
+        """Return a receipt with the values in force, for a change without an answer of
+        the servo.
+        """
         tick = self._view.tick
         return {
             "result": result,
@@ -216,7 +217,9 @@ class StagedChange:
             self._replies.append(ChangeReply(change, error))
 
     def _posting(self, change: PendingChange) -> Posting:
-        """The command of the stage that is due, bound to the environment it was judged for."""
+        """Return the command of the next stage, bound to the environment for which it
+        was judged.
+        """
         stage = change.stages[change.place]
         last = change.place == len(change.stages) - 1
         values: dict[Value, float] = {}

@@ -1,19 +1,18 @@
-"""What the gateway knows of passivity: the policy, and what the worker last said.
+"""The state of the guard in the gateway: the policy, and the results of the worker.
 
-The gateway asks a worker process (`worker`) whether an environment withstands every passive hand,
-and goes on meanwhile. Questions are numbered: a late answer belongs to no question any more and is
-dropped. There are three:
+A worker process (`worker`) judges whether an environment is stable in every passive hand, while the
+gateway continues. Questions are numbered: a late answer to a forgotten question is dropped. There
+are three:
 
-    change   may this be done from here, and how (`request_queue` asks it for each request)
-    look     how far is the environment in force from the edge; for the topic `guard` and `status`
-    hand     which hand would shake what was asked; asked last, told as an event
+    change   the judgement of a request, with its stages (`request_queue`)
+    look     the margin of the environment in force; for the topic `guard` and `status`
+    hand     the hand that destabilises a request; of lowest priority, reported as an event
 
-Policy, basis, margin and mode are those of the configuration until a client changes them; what is
-left of that when the gateway starts anew is said in `terms`. While measuring is leased the policy
-is `off`.
+Policy, basis, margin and mode are those of the configuration until a client changes them; `terms`
+describes their fate at a restart of the gateway. The policy is `off` while a client holds the
+measuring lease.
 
-Silence is not consent: `unknown` is a verdict of its own, and `must` names the policies that refuse
-it.
+Silence is not consent: `unknown` is a separate verdict, and strict policies (`must`) refuse it.
 """
 
 from collections import deque
@@ -34,18 +33,18 @@ from hapticd.protocol.view import ServoView
 
 __all__ = ["MOST_RECORDS", "Guard"]
 
-VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
-# after which a worker without an answer hangs; one that sees a delay for the first time takes
-# 0.5 s, and several times that on a busy machine
+VERDICT_NS = 500 * NS_PER_MS  # maximum wait of a request for its verdict
+# after this time without an answer the worker has hung; a new delay takes it 0.5 s, and several
+# times that on a busy machine
 HANG_NS = 10 * NS_PER_S
-LAG_NS = 5 * NS_PER_S  # that a delay may be counted on which the worker has looked at
+LAG_NS = 5 * NS_PER_S  # maximum use of a delay that is no longer measured
 LOOK_NS = 500 * NS_PER_MS
-MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
-MOST_HANDS = 8  # that wait to be looked for
+MOST_RECORDS = LEAST_RECORDS + 100  # after these the delay remains unknown
+MOST_HANDS = 8  # queued searches
 
 
 class WorkerLine(Protocol):
-    """What is used of the line to the worker (`worker.Worker`)."""
+    """The used part of the connection to the worker (`worker.Worker`)."""
 
     hello: dict[str, Any]
     trouble: str
@@ -61,7 +60,7 @@ class WorkerLine(Protocol):
 
 
 class LookKey(NamedTuple):
-    """What a look at the environment in force is about."""
+    """The subject of a look at the environment in force."""
 
     life: int  # of the servo
     revision: int  # of the environment
@@ -84,28 +83,28 @@ class Guard:
         self._journal = journal
         self._worker = worker
         self._worker_life = 0
-        self.leases: Leases | None = None  # of the command server that it serves, once there is one
-        # what it goes by while nobody measures
+        self.leases: Leases | None = None  # of the command server, once there is one
+        # in force except during a measurement
         self.terms = Terms(params.policy, params.basis, params.margin_ns_per_m)
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.terms_changes = 0  # of policy, basis or margin
         self._tended_ns = 0
-        self._terms_base = ANY_TERMS  # number of the first terms; no other gateway has it
+        self._terms_base = ANY_TERMS  # number of the first terms, unique to this gateway
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
         self._looked_delay: float | None = None
-        self._delay_ns: int | None = None  # since when the measured one is another
+        self._delay_ns: int | None = None  # time from which the measured one differs
         self._number = 0
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
-        self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
-        # environments whose hand is to be found, with what is told of them
+        self._unanswered: dict[int, int] = {}  # time of each unanswered question
+        # environments whose hand is to be found, with the fields of their events
         self._hands: deque[tuple[Environment, dict[str, Any]]] = deque(maxlen=MOST_HANDS)
-        self._hand: tuple[int, dict[str, Any]] | None = None  # number of the question, for what
-        self._look: tuple[int, LookKey] | None = None  # number of the question, about what
+        self._hand: tuple[int, dict[str, Any]] | None = None  # number of the question, event fields
+        self._look: tuple[int, LookKey] | None = None  # number of the question, its subject
         self._looked: dict[str, Any] = {}
         self._looked_at: LookKey | None = None
-        self._timing: dict[str, Any] | None = None  # what a delay costs of K, by the last look
+        self._timing: dict[str, Any] | None = None  # stiffness lost to the delay
         self._look_ns = -LOOK_NS
         self._told_ns = -LOOK_NS
 
@@ -118,32 +117,32 @@ class Guard:
 
     @property
     def policy(self) -> str:
-        """The policy that counts now."""
+        """The policy in force."""
         return "off" if self.measuring else self.terms.policy
 
     @property
     def mode(self) -> str:
-        """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
+        """The mode of active damping: off, level or auto; never auto during a measurement."""
         if self.terms.auto and not self.measuring:
             return "auto"
         return "level" if self.in_force.target().active_damping_ns_per_m else "off"
 
     @property
     def must(self) -> bool:
-        """Whether what is not known to be safe is refused."""
+        """Whether requests are refused unless they are known to be safe."""
         return self.policy in STRICT_POLICIES
 
     @property
     def settled(self) -> bool:
-        """Whether enough records of this servo life were read to know its delay, or that it
-        cannot be known.
+        """Whether enough records of this servo life were read to know its delay, or to give up on
+        it.
         """
         return self.delay.periods is not None or self._view.seen >= MOST_RECORDS
 
     @property
     def terms_number(self) -> int:
-        """Number of the terms that count, ANY_TERMS where no policy has to be obeyed. It is the
-        gateway's own: another one counts from its own start.
+        """Number of the terms in force; ANY_TERMS if no policy must be enforced. The number belongs
+        to this gateway: another one counts from its own start.
         """
         if not (self.must and self._terms_base):
             return ANY_TERMS
@@ -165,7 +164,7 @@ class Guard:
         )
 
     def change(self, asked: GuardRequest) -> None:
-        """Policy, basis and margin as far as `asked` gives them."""
+        """Set policy, basis and margin as far as `asked` contains them."""
         given = {name: asked.given[name] for name in Terms._fields if name in asked.given}
         before = self.terms
         self.terms = before._replace(**given)
@@ -177,11 +176,11 @@ class Guard:
         self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
     def set_auto(self, auto: bool) -> None:
-        """Whether the level of active damping is the guard's to choose from now on."""
+        """Set whether the guard selects the level of active damping from now on."""
         self.terms = self.terms._replace(auto=auto)
 
     def summary(self) -> dict[str, Any]:
-        """What `status` and the command `guard` tell."""
+        """Return the content of `status` and of the command `guard`."""
         hello = self._worker.hello if self._worker else {}
         return {
             **self._terms(),
@@ -205,8 +204,8 @@ class Guard:
         return self._looked.get("verdict") if same else None
 
     def _unjudged(self) -> str:
-        """Why there is no verdict on the environment in force, and what is known of it all the
-        same.
+        """Return why there is no verdict on the environment in force, and the known
+        facts about it.
         """
         if not self._view.alive:
             return "no servo answers, so nothing is in force"
@@ -218,7 +217,6 @@ class Guard:
         return f"no verdict on what is in force yet: {why}"
 
     def _delays(self, model_periods: float | None) -> dict[str, Any]:
-        """The delays that are known, in periods, and which of them is counted on."""
         counted = self.delay_periods
         return {
             "counted_periods": model_periods if counted is None else counted,
@@ -237,8 +235,8 @@ class Guard:
         }
 
     def unknown(self, why: str, policy: str = "") -> dict[str, Any]:
-        """The verdict on what nobody judged, because of `why`, under `policy` if not under the one
-        that counts.
+        """Return the verdict without a judgement, because of `why`. It is under `policy`, by
+        default the one in force.
         """
         return {
             "safe": None,
@@ -258,11 +256,11 @@ class Guard:
             ).plain(Outcome.UNKNOWN),
         }
 
-    # --- what is in force -------------------------------------------------------------------------
+    # --- the environment in force -----------------------------------------------------------------
 
     def relied_on_ns_per_m(self) -> float | None:
-        """Active damping [N s/m] without which the environment in force would be unsafe, where the
-        policy would not have let it; None: nobody counts on any, or it is not known.
+        """Return the active damping [N s/m] without which a strict policy would refuse the
+        environment in force; None: not needed, or not known.
         """
         verdict = self.verdict or {}
         if not self.must:
@@ -272,13 +270,11 @@ class Guard:
 
     @property
     def delay_periods(self) -> float | None:
-        """The delay that requests are judged with: the measured one, once the worker has looked at
-        it, for it keeps what it computes for a delay.
-        """
+        """The delay for judgements: the measured one, once the worker has prepared for it."""
         return self.delay.periods if self._looked_delay is None else self._looked_delay
 
     def _follow_delay(self, now_ns: int) -> None:
-        """Do not count on a delay that is no longer measured for long."""
+        """Stop using a delay that has not been measured for LAG_NS."""
         if self._looked_delay in (None, self.delay.periods):
             self._delay_ns = None
         elif self._delay_ns is None:
@@ -288,19 +284,21 @@ class Guard:
 
     @property
     def busy(self) -> bool:
-        """Whether the worker has something to answer."""
+        """Whether the worker has unanswered questions."""
         return bool(self._unanswered)
 
     @property
     def owes_verdict(self) -> bool:
-        """Whether the worker has a request to answer, also one that nobody waits for any more."""
+        """Whether the worker has an unanswered request, including forgotten ones."""
         own = {asked[0] for asked in (self._look, self._hand) if asked}
         return bool(self._unanswered.keys() - own)
 
     # --- questions --------------------------------------------------------------------------------
 
     def tend(self, now_ns: int) -> None:
-        """Hear the worker, keep it alive, ask what nobody waits for."""
+        """Read the answers of the worker, keep it running, and ask pending questions
+        about hands.
+        """
         self._terms_base = self._terms_base or now_ns // NS_PER_MS
         self._tended_ns = now_ns
         self.terms = self._keeper.follow(self.terms, now_ns)
@@ -317,21 +315,23 @@ class Guard:
             self._ask_hand(now_ns)
 
     def ask(self, question: dict[str, Any], now_ns: int) -> int:
-        """Ask for a verdict; the number under which `answer` will have it."""
+        """Ask for a verdict; return the number for `answer`."""
         self._awaited.add(number := self._send(question, now_ns))
         return number
 
     def answer(self, number: int) -> dict[str, Any] | None:
-        """The answer to question `number`, once."""
+        """Return the answer to question `number`, once."""
         return self._answers.pop(number, None)
 
     def forget(self, number: int) -> None:
-        """Nobody waits for the answer to `number` any more."""
+        """Drop the answer to `number`."""
         self._awaited.discard(number)
         self._answers.pop(number, None)
 
     def want_hand(self, environment: Environment, **about: Any) -> None:
-        """Have the hand found that shakes this environment; `about` goes into the event."""
+        """Queue the search for the hand that destabilises this environment; `about` goes into the
+        event.
+        """
         self._hands.append((environment, about))
 
     def _send(self, question: dict[str, Any], now_ns: int) -> int:
@@ -357,20 +357,19 @@ class Guard:
             self._hand = None
 
     def take_verdict(self, verdict: dict[str, Any]) -> None:
-        """The verdict on what has just come into force; it saves a look."""
+        """Take the verdict on the environment that has just taken effect; it saves a look."""
         if verdict.get("safe") and not verdict.get("clamped"):
             self._looked = {"verdict": verdict}
             self._looked_at = self._about()
 
     def _about(self) -> LookKey:
-        """What a look would now be about."""
         return LookKey(
             self._view.life, self.in_force.revision, self.delay.periods, self.terms_changes
         )
 
     def _take_look(self, answer: dict[str, Any], about: LookKey) -> None:
         if about.terms_changes != self.terms_changes:
-            return  # it was looked at by other terms
+            return  # it was judged by other terms
         before = self._looked.get("verdict", {}).get("safe")
         last = self._looked_at
         same = last is not None and (about.life, about.revision) == (last.life, last.revision)
@@ -389,7 +388,7 @@ class Guard:
             return
         if now_ns - min(self._unanswered.values(), default=now_ns) >= HANG_NS:
             self._worker.give_up(f"no answer within {HANG_NS / NS_PER_S:g} s")
-        # one that ends may have its successor before anybody looks
+        # a worker that ended may already have a successor
         if self._worker.state == "down" or self._worker.life != self._worker_life:
             self._worker_life = self._worker.life
             self._look = self._hand = None
@@ -419,7 +418,7 @@ class Guard:
     # --- the topic --------------------------------------------------------------------------------
 
     def messages(self, now_ns: int, unix_ns: int, wanted: bool) -> list[dict[str, Any]]:
-        """What the topic `guard` says now, if it is `wanted` and time; looks are asked for."""
+        """Return the messages of the topic `guard` if `wanted` and due; start a look if due."""
         self._look_if_due(now_ns, wanted)
         if not wanted or now_ns - self._told_ns < LOOK_NS:
             return []

@@ -1,10 +1,10 @@
-"""What the guard goes by, and what is left of it when the gateway starts anew.
+"""The terms of the guard (policy, basis, margin, mode), kept across a restart of the gateway.
 
-A client may change policy, basis, margin and mode while the daemon runs. They are for the servo
-life in which they were asked for: a gateway that dies and starts again beside the same servo finds
-the same environment in force, and would otherwise judge it by a laxer policy than its operator
-believes in. So the terms are kept in the runtime folder with the epoch of the servo, and what was
-asked for counts again where it is no laxer than what is configured (ADR-0018).
+A client may change the terms while the daemon runs; they apply to the servo life in which they were
+requested. A gateway that restarts next to the same servo finds the same environment in force. With
+the configured terms alone it might judge by a laxer policy than the operator expects. The terms are
+therefore kept in the runtime folder with the epoch of the servo. After a restart they apply again
+if they are no laxer than the configured ones (ADR-0018).
 
 Terms end with their servo; a laxer one ends with its gateway.
 """
@@ -21,29 +21,29 @@ from hapticd.mailbox.files import GUARD_TERMS, write_whole
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
 
-RETRY_NS = NS_PER_S  # after terms that could not be kept
+RETRY_NS = NS_PER_S  # after a failed write
 STRICTNESS = {"off": 0, "warn": 1} | dict.fromkeys(STRICT_POLICIES, 2)
 
 
 class Terms(NamedTuple):
-    """By what the guard judges."""
+    """The terms of a judgement."""
 
     policy: str
     basis: str
-    margin_ns_per_m: float  # that has to be left
-    auto: bool = False  # the guard chooses the level of active damping
+    margin_ns_per_m: float  # required
+    auto: bool = False  # the guard selects the level of active damping
 
     def words(self) -> str:
-        """For people."""
+        """Return a description for users."""
         mode = ", damping auto" if self.auto else ""
         return f"{self.policy} by {self.basis}, margin {self.margin_ns_per_m:g} N s/m{mode}"
 
 
 def stricter_of(chosen: Terms, configured: Terms) -> Terms:
-    """`chosen` as far as each of them is no laxer than `configured`, which counts for the rest.
+    """Return `chosen`, with each term that is laxer than in `configured` replaced.
 
-    A basis counts again if it is the theorem, which counts on least; mode auto does in any case:
-    without it the level in force would stay when the delay grows.
+    A chosen basis applies if it is the theorem, the most conservative one. Mode auto always
+    applies: without it the level in force would stay when the delay grows.
     """
     stricter = STRICTNESS[chosen.policy] >= STRICTNESS[configured.policy]
     return Terms(
@@ -55,12 +55,14 @@ def stricter_of(chosen: Terms, configured: Terms) -> Terms:
 
 
 def write_terms(folder: Path, epoch: int, terms: Terms) -> None:
-    """Keep `terms` for the servo life that began at `epoch`. MailboxError: no room, no right."""
+    """Store `terms` for the servo life that began at `epoch`. MailboxError: no space, no
+    permission.
+    """
     write_whole(folder / GUARD_TERMS, json.dumps({"epoch": epoch, **terms._asdict()}))
 
 
 def read_terms(folder: Path, epoch: int) -> Terms | None:
-    """The terms kept for the servo life that began at `epoch`; None without any that are whole."""
+    """Return the terms stored for the servo life that began at `epoch`; None without valid ones."""
     try:
         plain: dict[str, Any] = json.loads((folder / GUARD_TERMS).read_text())
         theirs = plain.pop("epoch")
@@ -73,21 +75,22 @@ def read_terms(folder: Path, epoch: int) -> Terms | None:
 
 
 class TermsKeeper:
-    """Keeps the terms of the servo of `view`, and finds those of a gateway before this one."""
+    """Stores the terms for the servo of `view`, and restores those of an earlier gateway."""
 
     def __init__(self, view: ServoView, journal: Journal, configured: Terms) -> None:
         self._view = view
         self._journal = journal
         self._configured = configured
         self._kept = configured
-        self._life = 0  # for which they are kept
-        self._failed: Terms | None = None  # those that could not be kept at the last try
+        self._life = 0  # servo life of the stored terms
+        self._failed: Terms | None = None  # terms whose last write failed
         self._retry_ns = 0
 
     def follow(self, terms: Terms, now_ns: int) -> Terms:
-        """Keep `terms` if they are new; those to go by from now on. At the first servo life they
-        are what a gateway before this one was asked for, as far as that is no laxer, unless this
-        one was asked for something already.
+        """Store `terms` if they are new; return the terms to apply from now on.
+
+        At the first servo life, terms of an earlier gateway are restored as far as they are no
+        laxer, unless a client has already changed those of this gateway.
         """
         view = self._view
         if view.mailbox is None or (self._life == view.life and self._kept == terms):

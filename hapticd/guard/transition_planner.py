@@ -1,21 +1,21 @@
-"""Plan a change: its stages in the order in which they may come, and the points they pass.
+"""Plan a change: its stages in an admissible order, and the points that they pass.
 
-    what ramps        the line from what is in force now to what is asked; where an earlier change
-                      is still under way too, the patch that both span, with its corners
+    ramps             the line from the environment in force to the requested one; while an earlier
+                      change is also in progress, the patch that both span, with its corners
     enable            the gain from 0 to 1, which scales every force
-    active damping    the levels on the way, of those that are kept
-    scheduled         this change comes after those before it, and those after it come after it
+    active damping    the cached levels on the path
+    scheduled         this change follows those scheduled before it, and precedes those after it
 
-Active damping rises before K and B grow; K and B shrink before it falls. Each `Stage` waits for
-what the board reports, or for the ramps of the stage before, never for a time. Other orders are
-tried next: with what is under way brought to its end first, with what shrinks first, with what
-grows first. A longer ramp goes through the same points, so none is asked for.
+Active damping rises before K and B grow; K and B shrink before it falls. Each `Stage` waits for a
+report of the board, or for the ramps of the stage before, never for a time. Other orders are tried
+next: complete the changes in progress first, shrink first, grow first. A longer ramp passes the
+same points, so none is tried.
 
-Where it is not known what comes first, a scheduled change or the end of the ramps before it, all
-corners of what may then act have to be safe (`mixture`).
+The order of a scheduled change and of the end of the ramps before it may be unknown. Then all
+corners of the possible environments must be safe (`mixture`).
 
-An environment is (K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; whatever is
-said of it has to hold for both.
+An environment is (K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; every
+statement about it must hold for both.
 
 No parameter may move without a request.
 """
@@ -32,30 +32,32 @@ import numpy as np
 from hapticd.core.environment import Environment, flat
 from hapticd.core.errors import AnalysisError
 
-POINTS = 20  # of a whole way
+POINTS = 20  # of a whole path
 AXES = ("K", "B", "M")
 
 
 class Stage(NamedTuple):
-    """One command of a change, and what it waits for."""
+    """One command of a change, and its condition."""
 
     change: dict[str, Any]  # fields as in `set`, absolute values
-    active_damping_at_least: float | None = None  # N s/m that the board has to report before
-    after_ramps: bool = False  # ramps before it must have ended
+    active_damping_at_least: float | None = None  # N s/m that the board must report first
+    after_ramps: bool = False  # earlier ramps must have ended
 
 
 class Segment(NamedTuple):
-    """A part of a way: from what is in force, with what is still under way, to what is asked."""
+    """A part of a path: from the environment in force, with changes in progress, to the requested
+    one.
+    """
 
     start: Environment  # in force
-    under_way: Environment  # where what is on its way would end
+    under_way: Environment  # end of the changes in progress
     end: Environment
     gain: bool = False  # the gain goes from 0 to 1 at its end
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Stages with the way that they take."""
+    """Stages and the path that they take."""
 
     stages: list[Stage]
     segments: list[Segment]
@@ -64,27 +66,27 @@ class Plan:
 
 @dataclass(frozen=True)
 class TransitionPlanner:
-    """What is asked for, where it starts from, and the ways there in the order in which they are
-    tried.
+    """The requested change, its start, and the possible paths in the order in which they
+    are tried.
     """
 
     now: Environment  # in force, with the damping in effect
-    target: Environment  # where what is under way ends
-    passed: list[Environment]  # in force at first, and where each change scheduled before it starts
+    target: Environment  # end of the changes in progress
+    passed: list[Environment]  # in force at first, then the start of each earlier scheduled change
     after: Sequence[Mapping[str, Any]]  # changes that are scheduled later
     enable: bool
-    moving: bool  # the environment is felt, or will be
-    levels: tuple[float, ...]  # of damping that are kept
+    moving: bool  # the environment acts, or will act
+    levels: tuple[float, ...]  # cached levels of damping
     count_ns_per_m: float  # of the damping DAC
-    change: Mapping[str, Any]  # the fields that are asked for
+    change: Mapping[str, Any]  # the requested fields
 
     @cached_property
     def wanted(self) -> Environment:
-        """Where the change leads."""
+        """The end of the change."""
         return apply_change(self.target, self.change)
 
     def plans(self) -> list[Plan]:
-        """Each with its stages; the first is how it is done where nobody asks for safety."""
+        """Return the plans with their stages; the first is used if safety is not required."""
         wanted = self.wanted
         if not self.moving:
             whole = Stage(wanted.fields(self.change))
@@ -94,7 +96,7 @@ class TransitionPlanner:
         return [self.plan(stages) for stages in self._orders()]
 
     def plan(self, stages: list[Stage]) -> Plan:
-        """The way that these stages take, from what is in force."""
+        """Return the plan of these stages, from the environment in force."""
         now = self.now
         target = self.target
         segments = []
@@ -109,8 +111,8 @@ class TransitionPlanner:
         return Plan(stages, segments, target)
 
     def path(self, plan: Plan) -> list[Environment]:
-        """At most POINTS points of the way of `plan`, and of what is scheduled after it; each
-        part has its end among them. None at all where they would be more.
+        """Return at most POINTS points of the path of `plan` and of the changes scheduled after it.
+        Each segment contributes its end. Return [] if more points would be needed.
         """
         segments = [*plan.segments, *self._later(plan.end)]
         size = max(
@@ -126,9 +128,10 @@ class TransitionPlanner:
         return [environment for part in parts for environment in part] if all(parts) else []
 
     def mixture(self, plan: Plan) -> list[Environment]:
-        """Corners of what may act where the order in time is not known: with changes that are
-        scheduled, whose ramps and damping may still be under way when the next one comes, and
-        at an enable while something is on its way.
+        """Return the corners of the environments that may act where the order in time is unknown.
+
+        This applies to scheduled changes, whose ramps and damping may still be in progress when the
+        next one starts. It also applies to an enable while a change is in progress.
         """
         later = [segment.end for segment in self._later(plan.end)]
         known = not later and len(self.passed) == 1
@@ -136,15 +139,15 @@ class TransitionPlanner:
             return self._overlapping(plan)
         environments = [*self.passed, self.target, plan.end, *later]
         if plan.stages[-1].active_damping_at_least is not None:
-            # nothing is felt before the damping that is asked for is in effect
+            # no force acts before the requested damping is in effect
             here = replace(self.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m)
             environments[0] = here if self.enable else environments[0]
         rendered = {replace(one, active_damping_ns_per_m=0.0) for one in environments}
         return corner_mixtures(environments) if len(rendered) > 1 else []
 
     def _overlapping(self, plan: Plan) -> list[Environment]:
-        """The same where two parameters or more are under way, each on a ramp of its own, until a
-        stage waits for their ends.
+        """Return the corners while several parameters are in progress, each on its own ramp. They
+        apply up to the first stage that waits for the ramps.
         """
         pairs = zip(_numbers(self.now), _numbers(self.target), strict=True)
         if not self.moving or sum(start != end for start, end in pairs) < 2:
@@ -190,7 +193,9 @@ class TransitionPlanner:
         return whole + [_waiting(stages, self._reported(here)) for stages in whole]
 
     def _environment_orders(self, rest: dict[str, Any]) -> list[list[Stage]]:
-        """At once, after what is under way, and what shrinks and what grows one after the other."""
+        """Return the orders: at once, after changes in progress, and shrinking and growing values
+        in turn.
+        """
         orders = [[Stage(rest)], [Stage(rest, after_ramps=True)]]
         new = dict(zip(AXES, self.wanted.free, strict=True))
         old = dict(zip(AXES, self.target.free, strict=True))
@@ -206,11 +211,11 @@ class TransitionPlanner:
         ]
 
     def _reported(self, level: float) -> float:
-        """What the board reports at least when it has that level: a count less."""
+        """Return the lowest value that the board reports at that level: one count less."""
         return max(0.0, level - self.count_ns_per_m)
 
     def _enabling(self, waits: bool) -> Plan:
-        """Force comes on at once, or once the damping that is asked for is in effect."""
+        """Enable force at once, or once the requested damping is in effect."""
         end = self.wanted
         change = end.fields(self.change)
         if not waits:
@@ -230,12 +235,12 @@ def _waiting(stages: list[Stage], level: float) -> list[Stage]:
 
 
 def moving_groups(segment: Segment) -> int:
-    """How many things move by themselves: what is asked, what is under way, the damping."""
+    """Return how many groups move separately: the request, changes in progress, the damping."""
     return sum(_moving(segment))
 
 
 def _moving(segment: Segment) -> tuple[bool, bool, bool]:
-    """Whether what was asked moves the environment, whether something else is under way, and
+    """Return whether the request moves the environment, whether another change is in progress, and
     whether the damping moves.
     """
     start, under_way, end = segment[:3]
@@ -254,8 +259,10 @@ def _numbers(environment: Environment) -> tuple[float, ...]:
 def sampled_segment(
     segment: Segment, count: int, levels: Sequence[float] = ()
 ) -> list[Environment]:
-    """At most `count` environments of a segment, its end the last: the line if one thing moves, a
-    grid with all corners if several do. None if that takes more than `count`.
+    """Return at most `count` environments of a segment, with its end last.
+
+    They are a line if one group moves, a grid with all corners if several do. Return [] if that
+    takes more than `count`.
     """
     if count < 1:
         return []
@@ -263,7 +270,7 @@ def sampled_segment(
         return _gained(segment, count)
     moving = _moving(segment)
     if sum(moving) <= 1:
-        # filters and the side of a wall change at once, while everything else is where it was
+        # filters and the side of a wall change at once, before anything else has moved
         here, end = segment.start, segment.end
         jumps = here.wall.side != end.wall.side or here.filters != end.filters
         first = 0.0 if jumps and count > 1 else 1.0 / count
@@ -278,7 +285,7 @@ def sampled_segment(
 
 
 def _gained(segment: Segment, count: int) -> list[Environment]:
-    """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
+    """Sample the gain from 0 to 1. A change of damping does not count before it is complete."""
     if count < 3:
         return []
     here = replace(segment.end, active_damping_ns_per_m=segment.start.active_damping_ns_per_m)
@@ -286,8 +293,8 @@ def _gained(segment: Segment, count: int) -> list[Environment]:
 
 
 def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -> Environment:
-    """A segment's environment with what was asked, what was under way and active damping at shares
-    of their own.
+    """Return the environment of a segment at separate shares of the request, of changes in progress
+    and of the active damping.
     """
     asked, left, level = shares
     fast = interpolate(segment.start, segment.end, asked)
@@ -311,12 +318,12 @@ def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -
     return replace(segment.end.with_free(numbers[:3]), wall=wall, active_damping_ns_per_m=added)
 
 
-# --- environments, and what lies between two of them ----------------------------------------------
+# --- environments, and interpolation between them -------------------------------------------------
 
 
 def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
-    """The environment in the fields of a message, its filters made discrete as those of `rendered`;
-    what the message leaves out is 0. AnalysisError for a number that is not finite.
+    """Return the environment in the fields of a message; omitted fields are 0. Its filters have the
+    discretisation of `rendered`. AnalysisError for a number that is not finite.
     """
     velocity, acceleration = rendered.filters
     nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)
@@ -324,7 +331,9 @@ def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment
 
 
 def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
-    """`environment` with the fields of a request. AnalysisError for a number not finite."""
+    """Return `environment` with the fields of a request. AnalysisError for a number that is not
+    finite.
+    """
     for name, value in flat(change):
         if isinstance(value, float) and not isfinite(value):
             raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
@@ -334,10 +343,11 @@ def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environ
 def interpolate(
     one: Environment, other: Environment, share: float, levels: Sequence[float] = ()
 ) -> Environment:
-    """The environment a share of the way from one to the other. Filters, and side and place of a
-    wall, are those of the other; a level strictly between is one of `levels`, if any is. A wall
-    that is taken away acts until its side has come to 0, with no more than the larger of both
-    strengths.
+    """Return the environment at a share of the way from `one` to `other`.
+
+    Filters, and the side and position of a wall, are those of `other`. An intermediate level is one
+    of `levels`, if any lies on the way. A wall that is being removed acts until its side has ramped
+    to 0, with at most the larger of both strengths.
     """
 
     def part(start: float, end: float) -> float:
@@ -362,7 +372,7 @@ def interpolate(
 
 
 def kept_level(start: float, end: float, share: float, levels: Sequence[float]) -> float:
-    """The level a share of the way: one that is kept, not beyond that share; or the start."""
+    """Return the cached level at a share of the way, not beyond that share; otherwise the start."""
     if share >= 1.0 or start == end:
         return end
     exact = start + share * (end - start)
@@ -371,8 +381,10 @@ def kept_level(start: float, end: float, share: float, levels: Sequence[float]) 
 
 
 def corner_mixtures(environments: Sequence[Environment]) -> list[Environment]:
-    """Corners of all that may act while each parameter is anywhere between those of them:
-    least and most of K, B, M and level, with the strongest wall if one of them has any.
+    """Return the corners of all environments with each parameter anywhere between those of
+    `environments`.
+
+    These are minimum and maximum of K, B, M and level, with the strongest wall if there is any.
     """
     places = [one.free for one in environments]
     ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]

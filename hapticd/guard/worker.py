@@ -1,13 +1,13 @@
-"""The line to the guard's worker: one child process, one pair of sockets, answers by number.
+"""The connection to the guard's worker: one child process, one socket pair, numbered answers.
 
-The worker knows the model and computes; the gateway asks and goes on. Each message is a map in
-msgpack behind its length (u32, little-endian), at most 64 kB. The first one from the worker is its
-hello. Nothing here waits: what is sent fits the socket or the worker hangs, what came is read when
-the selector says so. A worker that ends, sends what is no message, or does not take what is sent is
-killed, and started anew, at most every 2 s.
+The worker has the model and computes; the gateway does not wait. Each message is a msgpack map
+preceded by its length (u32, little-endian), at most 64 kB. The first message of the worker is its
+hello. No call blocks: a message fits the socket buffer, or the worker has hung, and input is read
+when the selector reports it. A worker that ends, sends an invalid message or does not read is
+killed and restarted, at most every 2 s.
 
-The worker ends with the gateway. Its hello names the hash, so a worker of another configuration is
-not used.
+The worker ends with the gateway. Its hello contains the hash of its configuration, so a worker with
+another configuration is not used.
 """
 
 import selectors
@@ -35,35 +35,35 @@ Start = Callable[[socket.socket], "subprocess.Popen[bytes]"]  # the worker, with
 
 
 class BadMessage(ValueError):
-    """What the worker sent is no message, or not one that was expected."""
+    """The worker sent an invalid or unexpected message."""
 
 
 class Worker:
-    """The worker, as long as it lives, and the next one. `state` is up, starting or down."""
+    """The worker process and its successors. `state` is up, starting or down."""
 
     def __init__(self, start: Start, selector: selectors.BaseSelector, config_hash: str) -> None:
         self._start = start
         self._selector = selector
         self._config_hash = config_hash
         self._process: subprocess.Popen[bytes] | None = None
-        self._ended: list[subprocess.Popen[bytes]] = []  # killed, to be waited for
+        self._ended: list[subprocess.Popen[bytes]] = []  # killed, not yet reaped
         self._socket: socket.socket | None = None
         self._buffer = b""
         self._answers: list[dict[str, Any]] = []
         self._started_ns: int | None = None
-        self.life = 0  # number of the worker: the next one knows nothing of what was asked
+        self.life = 0  # number of the worker: a new one has none of the earlier questions
         self.hello: dict[str, Any] = {}
         self.trouble = "it has not been started"
 
     @property
     def state(self) -> str:
-        """Up once it has said hello."""
+        """Up once the hello has arrived."""
         if self._socket is None:
             return "down"
         return "up" if self.hello else "starting"
 
     def tend(self, now_ns: int) -> None:
-        """Start it if it is due."""
+        """Start the worker if due."""
         self._ended = [one for one in self._ended if one.poll() is None]
         due = self._started_ns is None or now_ns - self._started_ns >= RESTART_NS
         if self._socket is None and due:
@@ -86,7 +86,7 @@ class Worker:
         self._selector.register(ours, selectors.EVENT_READ, self._read)
 
     def ask(self, request: dict[str, Any]) -> None:
-        """Send `request`; a worker that does not take it is given up."""
+        """Send `request`; end a worker that does not read it."""
         if self._socket is None:
             return
         data = bytes(msgpack.packb(request))
@@ -98,13 +98,13 @@ class Worker:
             self.give_up("it takes no requests")
 
     def answers(self) -> list[dict[str, Any]]:
-        """What it has said since the last call."""
+        """Return the answers since the last call."""
         found = self._answers
         self._answers = []
         return found
 
     def give_up(self, trouble: str) -> None:
-        """End it, because of `trouble`; the next one is started when it is time."""
+        """End the worker, because of `trouble`; `tend` starts the next one when due."""
         self.trouble = trouble
         self.hello = {}
         self._buffer = b""
@@ -142,7 +142,7 @@ class Worker:
             end = LENGTH.size + length
             if len(self._buffer) < end:
                 return
-            # no bytes and no extensions: JSON clients get what it says
+            # no bytes and no extensions: JSON clients receive its content
             message = msgpack.unpackb(self._buffer[LENGTH.size : end], max_bin_len=0, max_ext_len=0)
             self._buffer = self._buffer[end:]
             if not isinstance(message, dict):
@@ -164,5 +164,5 @@ class Worker:
         self.hello = hello
 
     def close(self) -> None:
-        """End it for good."""
+        """End the worker permanently."""
         self.give_up("the gateway ends")

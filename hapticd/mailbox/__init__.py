@@ -13,8 +13,8 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
 
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
     files        runtime_folder; claims, maps, ordered words
-    daemons      daemon_folder; folders in which daemons may run, and whether they are trusted and
-                 their daemons alive
+    daemons      daemon_folder; possible folders of daemons, whether they are trusted and their
+                 daemons alive
     environment_limits  limits on the K, B and M that a client may request of a device
     servo_side   ServoMailbox
     client_side  GatewayMailbox

@@ -1,7 +1,4 @@
-"""The gateway's side of the mailbox.
-
-The gateway posts commands and reads answers and telemetry.
-"""
+"""The gateway's side of the mailbox: it posts commands and reads answers and telemetry."""
 
 import marshal
 import os
@@ -20,7 +17,7 @@ SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 
 
 class Header(NamedTuple):
-    """Who serves this mailbox."""
+    """The servo of this mailbox."""
 
     pid: int
     start_ns: int
@@ -30,7 +27,7 @@ class Header(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What the servo said about command `seq` (layout.Result); `effective` are values after
+    """The servo's answer to command `seq` (layout.Result). `effective` are values after
     quantisation, by layout.Value.
     """
 
@@ -44,8 +41,8 @@ class Answer(NamedTuple):
 
 
 class Noted(NamedTuple):
-    """A request that the servo obeyed at `tick`; `kind` is layout.Command or an event of the
-    servo itself.
+    """A request that the servo obeyed at `tick`; `kind` is layout.Command or an event of the servo
+    itself.
     """
 
     tick: int
@@ -64,7 +61,7 @@ class Checkpoint(NamedTuple):
 
 
 class GatewayMailbox:
-    """The gateway's end. One per folder: a second one is refused.
+    """The gateway's side. One per folder: a second one is refused.
 
     A gateway that outlives servos holds the claim of files.GATEWAY_LOCK itself (`claimed`) and
     opens one of these per life.
@@ -73,7 +70,7 @@ class GatewayMailbox:
     def __init__(self, folder: Path, claimed: bool = False) -> None:
         self.folder = folder
         self._report = Report(folder)
-        self._path = os.fspath(folder / files.MAILBOX)  # looked at in every pass
+        self._path = os.fspath(folder / files.MAILBOX)  # checked in every pass
         if not folder.is_dir():
             raise MailboxError(
                 f"{folder}: no such folder; no servo runs there, start one with `hapticd run`"
@@ -124,12 +121,12 @@ class GatewayMailbox:
         )
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.words[layout.GATEWAY_PID_WORD] = os.getpid()
-        # what a gateway before has left in the ring brings no force
+        # commands of an earlier gateway in the ring enable no force
         self.store(layout.INHERITED_WORD, self.words[layout.COMMAND_HEAD_WORD])
 
     @property
     def current(self) -> bool:
-        """Whether the mapped mailbox is still the one in the folder; when not, close this and open
+        """Whether the mapped mailbox is still the one in the folder; otherwise close this and open
         a new one.
 
         A servo that was killed leaves its epoch behind, so the file itself is compared as well.
@@ -144,7 +141,7 @@ class GatewayMailbox:
 
     @property
     def backlog(self) -> int:
-        """Commands that the servo has not taken yet."""
+        """Commands that the servo has not yet taken."""
         return self.words[layout.COMMAND_HEAD_WORD] - self.load(layout.COMMAND_TAIL_WORD)
 
     @property
@@ -153,12 +150,12 @@ class GatewayMailbox:
         return self.load(layout.SERVO_BEAT_WORD)
 
     def beat(self, now_ns: int) -> None:
-        """Tell the servo that the gateway is alive."""
+        """Write the gateway's heartbeat."""
         self.store(layout.GATEWAY_BEAT_WORD, now_ns)
 
     @property
     def last_actor(self) -> int:
-        """The greatest client number that a gateway has given in this servo life."""
+        """The largest client number that a gateway has assigned in this servo life."""
         return self.words[layout.LAST_ACTOR_WORD]
 
     @last_actor.setter
@@ -175,21 +172,21 @@ class GatewayMailbox:
         self.words[layout.PERTURBATION_LEASE_WORD] = actor
 
     def counters(self) -> dict[str, int]:
-        """The servo's counters by name."""
+        """Return the servo's counters by name."""
         return {
             name: self.words[layout.COUNTER_WORD + index]
             for index, name in enumerate(layout.COUNTERS)
         }
 
     def report(self) -> dict[str, Any]:
-        """What the servo wrote at start or re-plug: rights granted, board, device; not to be
-        changed. It is parsed once, and empty while it is being replaced.
+        """Return the servo's report: granted rights, board, device; not to be modified. It is
+        parsed once, and empty while it is being replaced.
         """
         return self._report.content()
 
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
-        """Post a command of doubles (layout.Value); its sequence number, or None when the
-        ring is full (`busy`).
+        """Post a command of doubles (layout.Value); return its sequence number, or None if the ring
+        is full (`busy`).
         """
         head = self.words[layout.COMMAND_HEAD_WORD]
         if not 0 <= self.backlog < layout.RING_SLOTS:
@@ -206,7 +203,7 @@ class GatewayMailbox:
         return head + 1
 
     def answers(self) -> list[Answer]:
-        """All answers since the last call, in order."""
+        """Return all answers since the last call, in order."""
         found = []
         tail = self.words[layout.ANSWER_TAIL_WORD]
         head = self.load(layout.ANSWER_HEAD_WORD)
@@ -234,8 +231,8 @@ class GatewayMailbox:
         return found
 
     def records(self, tail: int, most: int) -> tuple[bytes, int, int]:
-        """Up to `most` whole records after number `tail`: (bytes, new tail, records lost before
-        them). Never waits.
+        """Return up to `most` whole records after number `tail`: (bytes, new tail, records lost
+        before them). Never waits.
         """
         head = self.load_head(layout.TELEMETRY_HEAD_WORD)
         first = max(tail, head - layout.RING_RECORDS + SAFE_DISTANCE)
@@ -257,7 +254,7 @@ class GatewayMailbox:
         return block[spoiled * size :], first + count, first - tail + spoiled
 
     def journal(self, tail: int) -> tuple[list[Noted], int, int]:
-        """Requests obeyed after number `tail`: (requests, new tail, how many were overwritten
+        """Return the requests obeyed after number `tail`: (requests, new tail, number overwritten
         before they were read).
         """
         head = self.load(layout.JOURNAL_HEAD_WORD)
@@ -276,7 +273,7 @@ class GatewayMailbox:
         return Noted(tick, seq, kind, actor, apply_tick, tuple(values))
 
     def ask_checkpoint(self) -> None:
-        """Ask the servo for a checkpoint; it writes one within 256 ticks."""
+        """Request a checkpoint; the servo writes it within 256 ticks."""
         self.words[layout.CHECKPOINT_ASKED_WORD] = self.checkpoints + 1
 
     @property
@@ -285,7 +282,7 @@ class GatewayMailbox:
         return self.load(layout.CHECKPOINT_HEAD_WORD)
 
     def checkpoint(self) -> Checkpoint | None:
-        """The newest checkpoint; None before the first, or while it is being overwritten."""
+        """Return the newest checkpoint; None before the first, or while it is being overwritten."""
         number = self.checkpoints - 1
         if number < 0:
             return None
@@ -298,6 +295,6 @@ class GatewayMailbox:
         return Checkpoint(tick, marshal.loads(data))
 
     def close(self) -> None:
-        """Give up the claim; the maps go with the object."""
+        """Release the claim; the maps are released with the object."""
         if self._claim is not None:
             files.release(self.folder, files.GATEWAY_LOCK, self._claim)

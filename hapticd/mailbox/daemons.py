@@ -1,15 +1,15 @@
 """The folders in which a daemon may run: which of them are trusted, and which daemons are alive.
 
-A daemon puts its folder where its own environment points at its start. The environment of another
+A daemon derives its folder from its own environment at its start. The environment of another
 process (a session, an ssh login, cron, systemd) may differ, so every place is searched.
 
-A folder is trusted if it is a folder and not a link, belongs to this user, and no other user may
-write it. The service's folder belongs to another user; it is trusted because only root can put
-anything at its path. Names in shared memory and in the temporary folder can be taken by anyone, and
-may be another user's trap. Such a folder is refused by name, and nothing in it is opened.
+A folder is trusted if it is a directory and not a link, belongs to this user, and no other user may
+write it. The service's folder belongs to another user; it is trusted because only root can create
+its path. Any user can create names in shared memory and in the temporary folder, as a trap for
+another. Such a folder is refused with its name, and no file in it is opened.
 
 A daemon is alive if it holds the stop word or listens at the gateway's socket. Files alone prove
-nothing: a daemon that was killed leaves them all behind.
+nothing: a killed daemon leaves them all behind.
 
 It must have no large import at the top and must not wait: `hapticd stop` starts with this module.
 """
@@ -47,10 +47,10 @@ class RuntimeFolder(NamedTuple):
 
 
 def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
-    """Where a client finds the daemon `instance`: in this user's own folder, or else in the system
-    service's if that is there.
+    """Return the folder of the daemon `instance`: this user's own, or otherwise the system
+    service's.
 
-    Only the default instance is a service. MailboxError: a folder that is there and not believed.
+    Only the default instance is a service. MailboxError: the folder exists and is not trusted.
     """
     folder = untrusted_daemon_folder(instance)
     require_trusted(folder)
@@ -58,7 +58,7 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
 
 def untrusted_daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
-    """As `daemon_folder`, to be looked at from outside: this folder need not be believed."""
+    """Return the folder as `daemon_folder`, without requiring that it is trusted."""
     own = files.runtime_folder(instance)
     if instance != DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
         return own
@@ -70,9 +70,9 @@ def untrusted_daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
 
 def runtime_folders(instance: str | None) -> list[RuntimeFolder]:
-    """Where daemons of this user and the service may run; `instance` None: all of them.
+    """Return the possible folders of daemons of this user and the service; `instance` None: all.
 
-    Not believed yet, and most of them do not exist.
+    They are not yet checked, and most of them do not exist.
     """
     found: list[RuntimeFolder] = []
     for base in _bases():
@@ -96,7 +96,6 @@ def _bases() -> list[Path]:
 
 
 def _instances(base: Path) -> list[str]:
-    """Names of the instances below `base`, if that is ours to look into."""
     try:
         require_trusted(base)
         entries = sorted(os.listdir(base)) if os.path.isdir(base) else []
@@ -108,7 +107,9 @@ def _instances(base: Path) -> list[str]:
 
 
 def require_trusted(folder: Path) -> None:
-    """Return if `folder` is not there or may be believed, else MailboxError with its name."""
+    """Return if `folder` does not exist or is trusted; otherwise raise MailboxError with
+    its name.
+    """
     steps = (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,)
     for step in steps:
         if not os.path.lexists(step):
@@ -137,12 +138,12 @@ def _believe_service(folder: Path) -> None:
 
 
 def is_running(folder: Path) -> bool:
-    """Whether a servo or a gateway is alive in `folder`."""
+    """Return whether a servo or a gateway is alive in `folder`."""
     return servo_lives(folder) or gateway_lives(folder)
 
 
 def running() -> tuple[str, ...]:
-    """The instances that are alive where a client looks for them."""
+    """Return the instances that are alive at the places where a client searches."""
     return tuple(
         name for name in (DEFAULT_INSTANCE, *_instances(files.runtime_folder())) if _reached(name)
     )
@@ -156,7 +157,7 @@ def _reached(instance: str) -> bool:
 
 
 def down(where: str, instance: str | None, more: str = "") -> DaemonDown:
-    """The error for `instance` (None: any), of which nobody is alive at `where`."""
+    """Return the error for `instance` (None: any) without a daemon at `where`."""
     known = instance in (None, DEFAULT_INSTANCE)
     command = "hapticd run" if known else f"hapticd run --instance {instance}"
     others = running()
@@ -167,7 +168,7 @@ def down(where: str, instance: str | None, more: str = "") -> DaemonDown:
 
 
 def instance_of(folder: Path) -> str:
-    """The name of the daemon whose runtime folder is `folder`."""
+    """Return the name of the daemon whose runtime folder is `folder`."""
     name = folder.name
     return (
         name.removeprefix(INSTANCE_PREFIX) if name.startswith(INSTANCE_PREFIX) else DEFAULT_INSTANCE
@@ -175,7 +176,7 @@ def instance_of(folder: Path) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The table in the file `path`; empty if it cannot be read."""
+    """Return the table in the file `path`; empty if it cannot be read."""
     import json
 
     try:
@@ -186,20 +187,22 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """servo.report in `folder`; empty if it cannot be read."""
+    """Return servo.report in `folder`; empty if it cannot be read."""
     return read_json(folder / files.REPORT)
 
 
 class Report:
-    """servo.report in `folder`, read again when it was replaced; it is only ever replaced whole."""
+    """servo.report in `folder`, read again after it was replaced; it is always replaced
+    as a whole.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._read: tuple[int, int] = (0, 0)  # inode and time [ns] of what was read
+        self._read: tuple[int, int] = (0, 0)  # inode and time [ns] of the file that was read
         self._content: dict[str, Any] = {}
 
     def content(self) -> dict[str, Any]:
-        """What stands there now, not to be changed; empty if it cannot be read."""
+        """Return its present content, not to be modified; empty if it cannot be read."""
         try:
             there = (self._folder / files.REPORT).stat()
         except OSError:
@@ -211,13 +214,13 @@ class Report:
 
 
 def living_report(folder: Path) -> dict[str, Any]:
-    """What a living servo of `folder` reports, also one that still waits for its board."""
+    """Return the report of a living servo of `folder`, including one that waits for its board."""
     return read_report(folder) if servo_lives(folder) else {}
 
 
 def console_place(folder: Path) -> dict[str, Any] | None:
-    """Where the operators' page of the daemon in `folder` is: {url, port, pid}; None without one
-    that is alive.
+    """Return the address of the operators' page of the daemon in `folder`: {url, port, pid}. None
+    without a living one.
     """
     found = read_json(folder / files.CONSOLE)
     pid = found.get("pid")
@@ -225,7 +228,7 @@ def console_place(folder: Path) -> dict[str, Any] | None:
 
 
 def gateway_lives(folder: Path) -> bool:
-    """Whether somebody listens at the command socket of `folder`; a queue that is full is one."""
+    """Return whether a process listens at the command socket of `folder`; its queue may be full."""
     import socket
 
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

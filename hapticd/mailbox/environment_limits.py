@@ -1,10 +1,10 @@
-"""Limits on the K, B and M that a client may request of a device: they keep out mistaken units.
+"""Limits on the K, B and M that a client may request of a device: they catch mistaken units.
 
-A limit is ROOM times the end of the range that the device renders passively on that axis alone,
-with the most active damping, if a model gives that range; otherwise the stated number. Neither goes
-beyond VALUE_LIMITS, which the schema, the mailbox and the servo check by themselves.
+A limit is ROOM times the end of the passive range of the device on that axis alone, with the most
+active damping. Without a model of that range it is the stated number. Both stay inside
+VALUE_LIMITS, which the schema, the mailbox and the servo check separately.
 
-Limitations: a unit that is wrong by less than ROOM.
+Limitations: a mistaken unit with a factor below ROOM is not caught.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,8 @@ __all__ = ["AXES", "UNKNOWN", "WIDEST", "environment_limits"]
 
 ROOM = 10.0
 AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}
-# where nothing is known, or nothing is passive: three times and more of what any shipped device
-# renders passively
+# for an unknown or empty passive range: at least three times the passive range of any shipped
+# device
 STATED: dict[str, ValueLimit] = {
     "K": ValueLimit(-1e3, 5e4, "N/m"),
     "B": ValueLimit(-5e1, 2e2, "N s/m"),
@@ -31,8 +31,8 @@ UNKNOWN: Mapping[str, Sequence[float] | None] = {}
 
 
 def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> EnvironmentLimits:
-    """Limits of a device that renders `passive` [SI] of each axis, from and to; of an axis that is
-    left out or None nothing is known.
+    """Return the limits of a device whose passive range on each axis is `passive` [SI], from and
+    to. The range of an axis that is missing or None is unknown.
     """
     ends = [_ends(axis, passive.get(axis) or (0.0, 0.0)) for axis in AXES]
     return EnvironmentLimits(tuple(low for low, _ in ends), tuple(high for _, high in ends))
@@ -47,5 +47,5 @@ def _ends(axis: str, passive: Sequence[float]) -> tuple[float, float]:
 
 
 def _shown(limit: float) -> float:
-    """As messages have it, so that the limit that is shown is the one that holds."""
+    """Round to the digits of messages, so that the displayed limit is the enforced one."""
     return float(f"{limit:.3g}")

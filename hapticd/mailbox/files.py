@@ -1,13 +1,12 @@
-"""The runtime folder: its place and owner, the creation, claim, map and removal of its files, and
-the order in which a reader sees a word and the data that it announces.
+"""The runtime folder: its place, its owner, and the life of its files, from creation to removal.
 
-On x86-64 an aligned 8-byte store from a memoryview is one `mov`, stores are not reordered with
-earlier stores (TSO), and the call into C stops the compiler: a plain assignment is a release store.
-On aarch64 the same store is single-copy atomic but may overtake the data written before it. There
-the word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
-ACQUIRE)`. A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a
-barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
-detected.
+It also defines the order in which a reader sees a word and the data that it announces. On x86-64 an
+aligned 8-byte store from a memoryview is one `mov`. Stores are not reordered with earlier stores
+(TSO), and the call into C stops the compiler: a plain assignment is a release store. On aarch64 the
+same store is single-copy atomic but may overtake the data written before it. There the word is
+stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(..., ACQUIRE)`.
+A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a barrier.
+Records contain their number first and last, and commands a CRC, so a mistake here is detected.
 
 Limitations: a runtime folder on a network file system (locks, shared maps). No import at the top
 may be large: `hapticd stop` and every command start with this module.
@@ -56,33 +55,35 @@ STOP = "stop"
 PERTURBATION = "perturbation"
 LAST_TELEMETRY = "last.ring"
 REPORT = "servo.report"
-# what the processes start from
+# configuration of the processes
 SERVO_JSON = "servo.json"
 BOARD_JSON = "board.json"
 GATEWAY_JSON = "gateway.json"
 GUARD_JSON = "guard.json"
-# the gateway's
+# of the gateway
 COMMAND_SOCKET = "command"
 TELEMETRY_SOCKET = "telemetry"
 ENDPOINTS = "endpoints.json"
 GUARD_TERMS = "guard.terms"
-CONSOLE = "console.json"  # the operators' page's: where it is
+CONSOLE = "console.json"  # address of the operators' page
 SERVO_LOCK = "servo.lock"
 GATEWAY_LOCK = "gateway.lock"
 DEFAULT_INSTANCE = "default"
-INSTANCE_PREFIX = "instance-"  # of the folder of any other one
+INSTANCE_PREFIX = "instance-"  # of the folders of other instances
 LONGEST_NAME = 64
 SERVICE_FOLDER = Path("/run/hapticd")  # RuntimeDirectory= of the systemd units
-SESSION_FOLDERS = Path("/run/user")  # where logind makes XDG_RUNTIME_DIR, by user number
+SESSION_FOLDERS = Path("/run/user")  # logind creates XDG_RUNTIME_DIR here, by user number
 MEMORY_FOLDER = Path("/dev/shm")
 
 
 def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
-    """Folder of `instance`, the same for every process of this user. Not created, not checked.
+    """Return the folder of `instance`, the same for every process of this user. Not created, not
+    checked.
 
-    $RUNTIME_DIRECTORY (systemd), else $XDG_RUNTIME_DIR/hapticd, else hapticd-<uid> in shared memory
-    (/dev/shm), else in <tempdir>: mapped files on a disk are written back and their pages fault
-    again within a tick. Another instance than the default one gets a folder of its own inside.
+    It is $RUNTIME_DIRECTORY (systemd), or $XDG_RUNTIME_DIR/hapticd, or hapticd-<uid> in shared
+    memory (/dev/shm), or in <tempdir>. Mapped files on a disk would be written back, and their
+    pages would fault again within a tick. Any instance but the default one has its own folder
+    inside.
     """
     if not 0 < len(instance) <= LONGEST_NAME or not all(c.isalnum() or c in "-_" for c in instance):
         raise MailboxError(
@@ -100,11 +101,11 @@ def runtime_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
 @contextmanager
 def refusals(path: Path) -> Iterator[None]:
-    """Turn what the operating system refuses about `path` into a MailboxError that names it."""
+    """Turn an OSError about `path` into a MailboxError with its name."""
     try:
         yield
     except OSError as error:
-        remedy = "make room, correct its rights or remove what is in the way"
+        remedy = "free some space, correct its permissions or remove the obstacle"
         raise MailboxError(f"{path}: {error.strerror}", remedy) from error
 
 
@@ -114,13 +115,16 @@ def _memory_folder() -> Path:
 
 
 def temporary_folder() -> Path:
-    """Where temporary files go; `tempfile` would cost every command five milliseconds."""
+    """Return the folder for temporary files; importing `tempfile` would take 5 ms in
+    every command.
+    """
     return Path(os.environ.get("TMPDIR") or "/tmp")
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make `folder` (0700) and check that it is ours. Raises MailboxError when someone else
-    owns it, or it cannot be made.
+    """Create `folder` (0700) and check that this user owns it.
+
+    MailboxError: another user owns it, or it cannot be created.
     """
     for step in (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,):
         with refusals(step):
@@ -130,7 +134,9 @@ def prepare_folder(folder: Path) -> Path:
 
 
 def check_own(folder: Path) -> None:
-    """Return if `folder` is a real folder of ours that nobody else may write, else MailboxError."""
+    """Raise MailboxError unless `folder` is a real folder of this user that no other user may
+    write.
+    """
     with refusals(folder):
         owner = folder.lstat().st_uid
     check_closed(folder)
@@ -142,7 +148,7 @@ def check_own(folder: Path) -> None:
 
 
 def check_closed(folder: Path) -> None:
-    """Return if `folder` is a real folder that only its owner may write, else MailboxError."""
+    """Raise MailboxError unless `folder` is a real folder that only its owner may write."""
     with refusals(folder):
         mode = folder.lstat().st_mode
     if stat.S_ISLNK(mode):
@@ -156,8 +162,9 @@ def check_closed(folder: Path) -> None:
 
 
 def claim(folder: Path, lock: str) -> int:
-    """Hold `lock` until this process ends; the returned descriptor is the claim. MailboxError
-    if someone alive has it.
+    """Hold `lock` until this process ends; the returned descriptor is the claim.
+
+    MailboxError: a living process holds it.
     """
     with refusals(folder / lock):
         descriptor = os.open(folder / lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -170,7 +177,7 @@ def claim(folder: Path, lock: str) -> int:
         raise MailboxError(
             f"a {role} (pid {owner}) already runs in {folder}; stop it or use --instance NAME"
         ) from None
-    # released, and so removed, between our open and our lock
+    # the file was released, and so removed, between open and lock
     if os.fstat(descriptor).st_nlink == 0:
         os.close(descriptor)
         return claim(folder, lock)
@@ -181,13 +188,13 @@ def claim(folder: Path, lock: str) -> int:
 
 
 def release(folder: Path, lock: str, descriptor: int) -> None:
-    """Give up a claim and remove its file."""
+    """Release a claim and remove its file."""
     remove(folder, lock)
     os.close(descriptor)
 
 
 def is_locked(descriptor: int) -> bool:
-    """Whether somebody else, alive, holds the lock of the open file `descriptor`."""
+    """Return whether another living process holds the lock of the open file `descriptor`."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -197,9 +204,7 @@ def is_locked(descriptor: int) -> bool:
 
 
 def write_whole(path: Path, text: str) -> Path:
-    """Write `text` into `path` as a whole or not at all. MailboxError when there is no room or
-    no right.
-    """
+    """Write `text` into `path` completely or not at all. MailboxError: no space, no permission."""
     fresh = path.with_name(f"{path.name}.{os.getpid()}")
     with refusals(path):
         try:
@@ -211,13 +216,13 @@ def write_whole(path: Path, text: str) -> Path:
 
 
 def _for_group_to_read(path: str, flags: int) -> int:
-    """Opened so that the group may read what the umask lets it, and never write."""
+    """Open a file that the group may read, as far as the umask allows, and never write."""
     return os.open(path, flags | os.O_CLOEXEC, 0o640)
 
 
 def remove(folder: Path, *names: str) -> None:
-    """Remove files of ours as far as that goes; what stays is replaced, or refused by name, at
-    the next start.
+    """Remove files of this user where possible; the next start replaces the rest, or refuses them
+    by name.
     """
     for name in names:
         with suppress(OSError):
@@ -225,8 +230,9 @@ def remove(folder: Path, *names: str) -> None:
 
 
 def create_map(path: Path, size: int) -> mmap.mmap:
-    """A fresh zeroed file of `size` bytes, mapped shared and touched, in place of any stale
-    one. MailboxError: no room.
+    """Create a zeroed file of `size` bytes, mapped shared and touched; it replaces any stale one.
+
+    MailboxError: no space.
     """
     with refusals(path):
         path.unlink(missing_ok=True)
@@ -243,7 +249,7 @@ def create_map(path: Path, size: int) -> mmap.mmap:
 
 
 def open_map(path: Path, size: int, writable: bool = True) -> mmap.mmap:
-    """Map an existing file of exactly `size` bytes. MailboxError if it is missing or of another
+    """Map an existing file of exactly `size` bytes. MailboxError: it is missing or has another
     size.
     """
     access = os.O_RDWR if writable else os.O_RDONLY
@@ -276,17 +282,17 @@ Load = Callable[[int], int]
 
 
 def plain_store(machine: str | None = None) -> bool:
-    """Whether a plain assignment publishes on this (or the named) machine: what a tick may do
-    without a call.
+    """Return whether a plain assignment publishes on this (or the named) machine, without a call in
+    a tick.
     """
     return (machine or os.uname().machine) in STRONGLY_ORDERED
 
 
 def word_access(words: "memoryview[int]", machine: str | None = None) -> tuple[Store, Load]:
-    """`(store(index, value), load(index))` with release and acquire order for u64 `words` on this
-    (or the named) machine.
+    """Return `(store(index, value), load(index))` for u64 `words`, with release and acquire order.
 
-    Raises MailboxError where the machine is weakly ordered and libatomic is missing.
+    They suit this (or the named) machine. MailboxError: the machine is weakly ordered and libatomic
+    is missing.
     """
     if plain_store(machine):
         return words.__setitem__, words.__getitem__
@@ -294,7 +300,7 @@ def word_access(words: "memoryview[int]", machine: str | None = None) -> tuple[S
 
 
 def _libatomic_access(words: "memoryview[int]") -> tuple[Store, Load]:
-    import ctypes  # here, because it costs every command milliseconds that most never need
+    import ctypes  # here: it takes milliseconds, and most commands do not need it
 
     try:
         library = ctypes.CDLL("libatomic.so.1")

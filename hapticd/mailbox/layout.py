@@ -1,7 +1,7 @@
-"""The tables of the mailbox: every offset, record and number that two processes must agree on.
+"""The tables of the mailbox: every offset, record and number on which two processes must agree.
 
 A change of any table changes LAYOUT_HASH, and processes of different versions refuse each other.
-The telemetry table is also the dtype that `servo.raw` announces (numpy `descr` form), so an
+The telemetry table is also the dtype that `servo.raw` contains (numpy `descr` form), so an
 acquisition client needs no copy of it.
 """
 
@@ -69,7 +69,7 @@ MAGIC = b"HAPTICD\0"
 # magic, layout hash, pid, start_ns, rate_hz, config hash (hex), simulated
 HEADER = struct.Struct("<8s8sQqd64sB")
 HEADER_PID: Final = 2  # place in a header
-# u64 index into the mailbox file: start time of this servo life, 0 while it is being built
+# u64 index into the mailbox file: start time of this servo life, 0 during its construction
 EPOCH_WORD = 32
 
 # --- words: single u64, one writer each -----------------------------------------------------------
@@ -80,14 +80,14 @@ COMMAND_TAIL_WORD = 88  # commands taken (servo)
 ANSWER_HEAD_WORD = 96  # answers posted (servo)
 ANSWER_TAIL_WORD = 104  # answers taken (gateway)
 GATEWAY_PID_WORD = 112
-LAST_ACTOR_WORD = 113  # the greatest client number given in this servo life (gateway)
+LAST_ACTOR_WORD = 113  # the largest client number assigned in this servo life (gateway)
 PERTURBATION_LEASE_WORD = 114  # actor that holds the lease of the perturbation, 0: none (gateway)
 INHERITED_WORD = 115  # commands posted by the gateways before this one (gateway)
 JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
-CHECKPOINT_ASKED_WORD = 122  # checkpoints asked for (gateway)
+CHECKPOINT_ASKED_WORD = 122  # checkpoints requested (gateway)
 CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
 COUNTER_WORD = 128  # COUNTERS, u64 each
-LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
+LOST_SLOTS = 1 << 32  # modulus of the count of lost slots
 PAGE = 4096
 
 
@@ -115,7 +115,7 @@ COUNTERS = (
     "board_lives",
     "empty_in",
 )
-# parts of a tick: each has its `_ns` in the record; histograms are made from those
+# parts of a tick: each has a field `_ns` in the record, the source of the histograms
 STAGES = ("wake", "read", "step", "write", "publish")
 
 # --- command ring: gateway -> servo ---------------------------------------------------------------
@@ -131,15 +131,15 @@ COMMAND_CRC_OFFSET = COMMAND.size - 8
 ANSWER = struct.Struct(f"<QIIQQQ{COMMAND_VALUES}dII")
 ANSWER_OFFSET = COMMAND_OFFSET + _whole_pages(RING_SLOTS * COMMAND.size)
 
-# --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all
-# that a replay needs
+# --- journal: the requests that the servo obeyed, with their ticks; records, checkpoint and journal
+# are enough for a replay
 JOURNAL_SLOTS = 256
 # number, tick, seq, kind, actor, apply_tick, values, number again
 JOURNAL = struct.Struct(f"<QQQIIQ{COMMAND_VALUES}dQ")
 JOURNAL_OFFSET = ANSWER_OFFSET + _whole_pages(RING_SLOTS * ANSWER.size)
 
-# --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn --
-# number, tick, length and crc32 of the marshalled state behind it
+# --- checkpoints: the servo's whole state before a tick, on request, in two alternating slots -----
+# number, tick, length and crc32 of the marshalled state that follows
 CHECKPOINT = struct.Struct("<QQII")
 CHECKPOINT_SLOT = 2 * PAGE
 CHECKPOINT_OFFSET = JOURNAL_OFFSET + _whole_pages(JOURNAL_SLOTS * JOURNAL.size)
@@ -147,11 +147,11 @@ MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
 assert CHECKPOINT_OFFSET % PAGE == 0
 
 PERTURBATION_HEADER = PAGE
-PERTURBATION_SAMPLES = 1 << 19  # i16 counts: 131 s at 4 kHz, repeated when `loop` is asked
+PERTURBATION_SAMPLES = 1 << 19  # i16 counts: 131 s at 4 kHz, repeated with `loop`
 
 
 class State(IntEnum):
-    """What the servo is doing; the number is in every record."""
+    """State of the servo; its number is in every record."""
 
     DISABLED = 0
     ENABLED = 1
@@ -164,7 +164,7 @@ LATCHED: Final = frozenset({State.STOPPED, State.FAULT})  # until a reset
 
 
 class Command(IntEnum):
-    """What the gateway may ask of the servo."""
+    """Requests of the gateway to the servo."""
 
     SET = 1
     DAMPING = 2
@@ -177,15 +177,15 @@ class Command(IntEnum):
     PERTURB_START = 9
     PERTURB_STOP = 10
     FAULT = 11  # one of `faults.FROM_GATEWAY`
-    # what others than its actor have scheduled of the places in its mask; nothing else changes
+    # cancel scheduled changes of the masked places by other actors; nothing else changes
     CANCEL = 12
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
-    # changes are judged by these terms from now on; what was scheduled by others is cancelled
+    # set the terms of judgements; changes scheduled under other terms are cancelled
     TERMS = 14
 
 
 class Value(IntEnum):
-    """Places of the doubles of a command; bit `1 << place` in MASK says that a place counts."""
+    """Places of the doubles of a command; bit `1 << place` in MASK marks a place as given."""
 
     MASK = 0
     RAMP_S = 1
@@ -206,20 +206,20 @@ class Value(IntEnum):
     LOOP = 16  # PERTURB_START: 0 or 1
     LEASE_CONTROL = 17
     LEASE_ACTIVE_DAMPING = 18
-    STOP_OWNER = 19  # answers: actor who pressed stop, 0: several, or the servo itself
+    STOP_OWNER = 19  # answers: actor that pressed stop, 0: several, or the servo itself
     LIMIT_CYCLE_FAULTS = 20  # 0 or 1: faults force_at_limit and energy
-    # of what is rendered and damped: for which a change was judged; in answers, as it is now
+    # revision of the environment for which a change was judged; in answers, the present one
     ENVIRONMENT_REVISION = 21
-    FAULT_NUMBER = 22  # FAULT: which
-    SILENCE_S = 23  # WITHHOLD: for how long
-    # number of the terms by which a change was judged; ANY_TERMS: the end of what is bounded
+    FAULT_NUMBER = 22  # FAULT: its number
+    SILENCE_S = 23  # WITHHOLD: duration
+    # number of the terms by which a change was judged; ANY_TERMS: the end of a bounded change
     TERMS = 24
-    UNTIL_TICK = 25  # from which everything that the change names is as it was before
+    UNTIL_TICK = 25  # from which the fields of the change return to their values before it
     locals().update({one.path.upper(): one.slot for one in FURTHER})
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
-    """The doubles of a command that gives exactly these values."""
+    """Return the doubles of a command with exactly these values."""
     values = [0.0] * COMMAND_VALUES
     for place, value in given.items():
         values[place] = float(value)
@@ -228,7 +228,7 @@ def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
 
 
 class ValueLimit(NamedTuple):
-    """What may be asked for a value, both ends included."""
+    """The range of a value, both ends included."""
 
     low: float
     high: float
@@ -236,9 +236,9 @@ class ValueLimit(NamedTuple):
 
 
 LONGEST_SILENCE_S: Final = 1.0
-# the device and the rate may allow less
-# all that a force is in proportion to
+# places to which a force is proportional
 STRENGTH_VALUES: Final = tuple(Value(one.slot) for one in STRENGTHS)
+# device and rate may narrow these
 VALUE_LIMITS: dict[Value, ValueLimit] = {
     **{Value(one.slot): ValueLimit(one.low, one.high, one.unit) for one in FIELDS},
     Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
@@ -250,10 +250,10 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.LIMIT_CYCLE_FAULTS: ValueLimit(0.0, 1.0, "switch"),
     Value.ENVIRONMENT_REVISION: ValueLimit(0.0, float((1 << 32) - 1), "revision"),
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
-    # far below what a board holds damping
+    # far below the time for which a board holds damping
     Value.SILENCE_S: ValueLimit(1e-3, LONGEST_SILENCE_S, "s"),
     Value.TERMS: ValueLimit(0.0, float((1 << 32) - 1), "number"),
-    Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # whole in a double
+    Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # an exact integer in a double
 }
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
     Value(one.slot): ValueLimit(one.unverified[0], one.unverified[1], one.unit)
@@ -266,8 +266,8 @@ FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 def value_limits(
     rate_hz: float, active_damping_limit_ns_per_m: float, commissioning: bool = False
 ) -> dict[Value, ValueLimit]:
-    """VALUE_LIMITS as narrowed by the servo rate [Hz], the device's damping limit [N s/m] and
-    signs that are not verified yet.
+    """Return VALUE_LIMITS, narrowed by the servo rate [Hz], the device's damping limit [N s/m] and
+    unverified signs.
     """
     boxed = COMMISSIONING_LIMITS if commissioning else {}
     narrower = {
@@ -286,21 +286,21 @@ REVISION_MASK: Final = 0xFFFFFFFF  # a revision is a u4 of the record, and the s
 
 
 def following(revision: int) -> int:
-    """The revision after `revision`."""
+    """Return the revision after `revision`."""
     return revision + 1 & REVISION_MASK
 
 
 def newer(one: int, other: int) -> bool:
-    """Whether revision `one` was counted after `other`, over their wrap too."""
+    """Return whether revision `one` was counted after `other`, also across their wrap."""
     return 0 < one - other & REVISION_MASK <= REVISION_MASK >> 1
 
 
 class Result(IntEnum):
-    """What became of a command."""
+    """The result of a command."""
 
     APPLIED = 1
-    SCHEDULED = 2  # at_tick lies ahead: a second answer follows with APPLIED or SUPERSEDED
-    SUPERSEDED = 3  # a later command took every parameter before this one came into force
+    SCHEDULED = 2  # at_tick is in the future: a second answer follows, APPLIED or SUPERSEDED
+    SUPERSEDED = 3  # a later command replaced every parameter before this one took effect
     REFUSED_STATE = 4  # not in this state
     REFUSED_CAUSE = 5  # the cause of the fault persists
     REFUSED_NOT_HOMED = 6
@@ -309,15 +309,15 @@ class Result(IntEnum):
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
     CANCELLED = 11  # a stop or fault removed a scheduled command
-    REFUSED_OWNER = 12  # reset within 1 s of somebody else's stop
+    REFUSED_OWNER = 12  # reset within 1 s of another client's stop
     REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
-    REFUSED_FILTER = 14  # force comes through the filters
+    REFUSED_FILTER = 14  # a force passes the filters
     REFUSED_RATE = 16  # the bus is too slow for the rate
     REFUSED_DEVICE = 17  # the board contradicts its device file
     REFUSED_REVISION = 18  # it was judged for another environment than the one in force
     REFUSED_COMMISSIONING = 19  # the signs of the device are not verified
-    REFUSED_SAMPLE = 20  # no position to be believed came in its tick
-    REFUSED_TERMS = 21  # it was judged by other terms than those that count
+    REFUSED_SAMPLE = 20  # no valid position arrived in its tick
+    REFUSED_TERMS = 21  # it was judged by other terms than those in force
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------
@@ -345,7 +345,7 @@ TELEMETRY = (
     *((one.column, "<f8") for one in FURTHER),
     ("wall_side", "<i4"),
     ("watches", "<u4"),  # Watched
-    ("environment_revision", "<u4"),  # counts changes of what is rendered and damped
+    ("environment_revision", "<u4"),  # counts changes of environment and damping
     ("resistance_count", "<i4"),  # of the resistance compensation, as sent
     # --- this tick
     ("flags", "<u4"),
@@ -353,7 +353,7 @@ TELEMETRY = (
     # of the sample: 0 on time, k after k lost ones (usb.device), -k none for k periods
     ("arrival", "<i4"),
     ("host", "<u4"),  # servo.plan: LINK_UP and the others
-    # the time that ramps, holds and budgets go by, in periods: tick + slots that were lost so far
+    # the time of ramps, holds and budgets, in periods: tick + slots lost so far
     ("slot", "<u8"),
     ("position_m", "<f8"),
     ("velocity_m_per_s", "<f8"),
@@ -363,7 +363,7 @@ TELEMETRY = (
     ("mass_force_n", "<f8"),
     ("field_force_n", "<f8"),
     ("force_n", "<f8"),
-    ("work_j", "<f8"),  # done on the device, and what was given away uncovered: render.energy
+    ("work_j", "<f8"),  # done on the device; excess_j: energy given out without cover
     ("excess_j", "<f8"),
     ("winding_c", "<f4"),
     ("current_a", "<f4"),
@@ -375,18 +375,18 @@ TELEMETRY = (
     ("write_ns", "<i4"),
     ("publish_ns", "<i4"),
     ("lost_slots", "<u4"),
-    # of the tick before, 0 if it was on time: why it was late (LateCause), and how long after the
-    # next deadline it ended
+    # of the tick before, 0 if it was on time: the cause (LateCause), and how long after the next
+    # deadline it ended
     ("late_cause", "<u4"),
     ("late_ns", "<i4"),
-    # from the sample to the force that was in effect when this tick's sample was latched, by the
+    # from a sample to the force that was in effect when this tick's sample was latched, by the
     # board's clock; -1: unknown
     ("delay_us", "<i4"),
-    ("delay_spread_us", "<i4"),  # greatest minus least delay of the last whole 256 ticks
-    # of the IN frame when it was read, by both clocks; -1: unknown, or the board holds torque back
+    ("delay_spread_us", "<i4"),  # maximum minus minimum delay of the last whole 256 ticks
+    # of the IN frame when it was read, by both clocks; -1: unknown, or the board withholds torque
     ("frame_age_us", "<i4"),
-    ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
-    # of the event at the board's pins that this tick brought (usb.events)
+    ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, reported by the board
+    # of the event at the board's pins in this tick's frame (usb.events)
     ("event_us", "<i8"),
     ("event_code", "<i4"),
     ("events_lost", "<u4"),
@@ -416,8 +416,8 @@ def _codes(fields: tuple[tuple[object, ...], ...]) -> str:
 
 
 PLAN = struct.Struct("<" + _codes(PLAN_FIELDS))
-# Every field on its own multiple: no gaps. A tick packs the two halves one after the other, because
-# CPython makes a list and a tuple of more than 30 arguments of a call, which takes 0.2 us.
+# Every field is aligned to its size: no gaps. A tick packs the two halves separately, because
+# CPython turns more than 30 arguments of a call into a list and a tuple, which takes 0.2 us.
 STEPPED = struct.Struct(f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:_MEASURED]))
 MEASURED = struct.Struct(_codes(TELEMETRY[_MEASURED:]))
 RECORD = struct.Struct(STEPPED.format + MEASURED.format)
@@ -426,7 +426,7 @@ RING_RECORDS = 8192  # 8 s at 1 kHz
 
 
 def offset_of(name: str) -> int:
-    """Bytes of a record before its field `name`."""
+    """Return the number of bytes of a record before its field `name`."""
     return struct.calcsize("<" + _codes(TELEMETRY[: _NAMES.index(name)]))
 
 
@@ -441,47 +441,47 @@ class Flag(IntEnum):
 
     MISSING_IN = 1  # no fresh sample: the command of the tick before was repeated
     BAD_IN = 2
-    INTERPOLATED = 4  # the filters were fed the positions of lost frames
-    SEEDED = 8  # the filters were put at rest at this position
+    INTERPOLATED = 4  # the filters got interpolated positions of lost frames
+    SEEDED = 8  # the filters were set to rest at this position
     LATE = 16
     CLAMPED = 32
     NOT_FINITE = 64
     WRITE_FAILED = 128
     RAMPING = 256
     QUIET_RAMP = 512  # force returns from 0 after a gap
-    EASED = 1024  # parameters wait for the force step that the device allows (servo.easing)
-    # servo.glitch: the sample is not believed yet, and the motion is taken to go straight on; the
-    # samples before were glitches, and the filters got positions between; they were true motion
+    EASED = 1024  # parameters are held back by the device's force step (servo.easing)
+    # servo.glitch: the sample is doubted, and the motion is continued straight; the samples before
+    # were glitches, and the filters got positions between; they were true motion
     DOUBTED = 2048
     GLITCH = 4096
     BELIEVED = 8192
-    PAUSED = 16384  # ramps wait, since they have brought in as much energy as a second may
-    CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than asked
-    WITHHELD = 65536  # no frame was sent: the board's watchdog is tried (servo.watchdog_trial)
+    PAUSED = 16384  # ramps wait, because they have added the maximum energy of a second
+    CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than requested
+    WITHHELD = 65536  # no frame was sent: test of the board's watchdog (servo.watchdog_trial)
 
 
 class LateCause(IntEnum):
-    """The part of a late tick that took longest beyond its usual time (servo.late)."""
+    """The part of a late tick with the largest excess over its usual time (servo.late)."""
 
     NONE = 0  # on time
     WAKE = 1
     SUBMISSION = 2  # of its transfers: the kernel took them late
-    BUS = 3  # the board got an OUT late, or no IN came
-    COMPLETION = 4  # the board was in time, the end of the transfer was not
-    TRANSFER = 5  # which part of a transfer is not known
+    BUS = 3  # the board got an OUT late, or no IN arrived
+    COMPLETION = 4  # the board was in time, but the end of the transfer was late
+    TRANSFER = 5  # an unknown part of a transfer
     STEP = 6
     PUBLISH = 7
 
 
 class Watched(IntEnum):
-    """Bits of `watches` in a record: faults that end a limit cycle (servo.monitors) and are on."""
+    """Bits of `watches` in a record: active faults that end a limit cycle (servo.monitors)."""
 
     FORCE_AT_LIMIT = 1
     OVERSPEED = 2
     ENERGY = 4
 
 
-COMMISSIONING = 8  # bit of `watches` beside those: the signs of the device are not verified
+COMMISSIONING = 8  # a further bit of `watches`: the signs of the device are not verified
 
 LAYOUT_HASH = hashlib.sha256(
     repr(

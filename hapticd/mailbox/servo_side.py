@@ -1,9 +1,9 @@
-"""The servo's end: creates all files, takes commands, gives answers, publishes one record a tick.
-Never waits.
+"""The servo's side of the mailbox.
 
-The servo's own counts (commands taken, answers given, events) stay in this object, and the mapped
-words only show them. It never reads back a word that others could have overwritten, and takes no
-word of the gateway for granted.
+It creates all files, takes commands, gives answers, and publishes one record per tick. It never
+waits. The servo's own counts (commands taken, answers given, events) are kept in this object; the
+mapped words are only copies. It never reads back a word that another process could have
+overwritten, and it does not trust words of the gateway.
 """
 
 import json
@@ -25,9 +25,7 @@ _COMMANDS = frozenset(layout.Command)
 
 
 class ServoMailbox:
-    """Owner of the runtime folder. `take`, `note`, `answer` and `checkpoint` are called by the
-    loop.
-    """
+    """Owner of the runtime folder. The loop calls `take`, `note`, `answer` and `checkpoint`."""
 
     def __init__(
         self, folder: Path, rate_hz: float, config_hash: str, simulated: bool, start_ns: int
@@ -70,12 +68,12 @@ class ServoMailbox:
         self.renew()
 
     def publish(self) -> None:
-        """From here on others may use the mailbox: the epoch is written last."""
+        """Open the mailbox to other processes: the epoch is written last."""
         self._epoch = self._start_ns
         self.renew()
 
     def renew(self) -> None:
-        """Write again what is ours to write, in case that someone wrote over it."""
+        """Write the servo's words again, in case another process has overwritten them."""
         if self._map[: layout.HEADER.size] != self._header:
             self._map[: layout.HEADER.size] = self._header
         self.store(layout.COMMAND_TAIL_WORD, self.taken)
@@ -86,18 +84,18 @@ class ServoMailbox:
     def report(self, content: dict[str, Any]) -> None:
         """Replace servo.report; called while the loop stands still (start, re-plug)."""
         self.last_report = content
-        # no indent: its encoder leaves garbage in circles, and the collector is off
+        # no indent: its encoder leaves cyclic garbage, and the collector is off
         files.write_whole(self.folder / files.REPORT, json.dumps(content))
 
     def take(self) -> tuple[Any, ...] | None:
-        """Next command as (seq, kind, actor, apply_tick, values); None if there is none or it
-        is damaged or unknown (counted).
+        """Return the next command as (seq, kind, actor, apply_tick, values). None if there is none,
+        or if it is damaged or unknown (counted).
         """
         tail = self.taken
         waiting = self.load(layout.COMMAND_HEAD_WORD) - self.taken
         if not 0 < waiting <= layout.RING_SLOTS:
             self.store(layout.COMMAND_TAIL_WORD, tail)
-            if waiting:  # no gateway posts like this: someone wrote over the head
+            if waiting:  # no gateway posts like this: the head was overwritten
                 self.store(layout.COMMAND_HEAD_WORD, tail)
                 self.count("bad_commands")
             return None
@@ -119,7 +117,7 @@ class ServoMailbox:
 
     @property
     def inherited(self) -> int:
-        """Number of the last command that a gateway before the present one posted."""
+        """Number of the last command that an earlier gateway posted."""
         return self.load(layout.INHERITED_WORD)
 
     def count(self, name: str, amount: int = 1) -> None:
@@ -128,7 +126,7 @@ class ServoMailbox:
         self.show(name, self._counts[name])
 
     def show(self, name: str, count: int) -> None:
-        """Show counter `name`, which is counted elsewhere, as `count`."""
+        """Publish `count` as counter `name`, which is counted elsewhere."""
         self.words[_COUNTER[name]] = count
 
     def answer(
@@ -140,7 +138,7 @@ class ServoMailbox:
         ticks: tuple[int, int],
         values: tuple[float, ...],
     ) -> bool:
-        """Post one answer; False (counted) when the gateway does not read them."""
+        """Post one answer; return False (counted) if the gateway does not read them."""
         head = self._answered
         if head - self.load(layout.ANSWER_TAIL_WORD) >= layout.RING_SLOTS:
             self.count("dropped_answers")
@@ -158,8 +156,8 @@ class ServoMailbox:
         return True
 
     def note(self, tick: int, requests: tuple[tuple[Any, ...], ...]) -> None:
-        """Journal the requests (seq, kind, actor, apply_tick, values) that `tick` obeys; an
-        unread one is overwritten.
+        """Journal the requests (seq, kind, actor, apply_tick, values) of `tick`; unread ones are
+        overwritten.
         """
         for seq, kind, actor, apply_tick, values in requests:
             number = self._journaled
@@ -173,13 +171,11 @@ class ServoMailbox:
 
     @property
     def checkpoint_due(self) -> bool:
-        """Whether the gateway has asked for more checkpoints than there are."""
+        """Whether the gateway has requested more checkpoints than there are."""
         return self.words[layout.CHECKPOINT_ASKED_WORD] > self._checkpointed
 
     def checkpoint(self, tick: int, state: tuple[Any, ...]) -> None:
-        """Write `state` (nested plain tuples) as it is before `tick`; one that is too long for
-        its slot is left out.
-        """
+        """Write `state` (nested plain tuples) as before `tick`; skip it if it exceeds its slot."""
         number = self._checkpointed
         offset = layout.CHECKPOINT_OFFSET + number % 2 * layout.CHECKPOINT_SLOT
         data = marshal.dumps(state)
@@ -193,7 +189,7 @@ class ServoMailbox:
             self.store(layout.CHECKPOINT_HEAD_WORD, self._checkpointed)
 
     def close(self, clean: bool = True) -> None:
-        """Mark the mailbox dead; a clean end removes all files but the telemetry of this life
+        """Mark the mailbox dead; a clean end removes all files except the telemetry of this life
         (as last.ring).
         """
         self.store(layout.EPOCH_WORD, 0)
@@ -205,8 +201,8 @@ class ServoMailbox:
 
 
 def _keep_last(folder: Path) -> None:
-    """The ring of a servo that has ended becomes the last one, for the flight recorder, if it holds
-    any record: the ring of one that only waited for its board replaces none.
+    """Keep the ring of an ended servo as the last one, for the flight recorder. An empty ring, of a
+    servo that only waited for its board, replaces none.
     """
     ring = folder / files.TELEMETRY
     try:
@@ -217,4 +213,4 @@ def _keep_last(folder: Path) -> None:
         else:
             ring.unlink()
     except OSError:
-        pass  # what stays is replaced at the next start
+        pass  # the next start replaces the file

@@ -1,15 +1,15 @@
-"""The angles wT at which a device is looked at, and what lies between them.
+"""The angles wT at which a device is evaluated, and the minimum between them.
 
-Where they have to be dense (`angles_of`). The condition of `theorem` depends on the device alone
-through e = G - E, h and q, and none of these has other poles than the device with its probe held
-still, folded into the base band: the poles of the free device cancel. A pole w_i - j v_i of those
-makes a feature of width v_i T and larger, so a ladder of angles with geometric distances v_i T
-stands on either side of it, up to where the fixed angles are denser. The law's filters have none.
+Density (`angles_of`). The condition of `theorem` depends on the device alone through e = G - E, h
+and q. Their only poles are those of the device with its probe held still, folded into the base
+band; the poles of the free device cancel. A pole w_i - j v_i makes a feature at least v_i T wide. A
+ladder of angles with geometric distances from v_i T therefore surrounds it, up to where the fixed
+angles are denser. The law's filters have no ladder.
 
-What lies between (`least_between`). A parabola through a least value and its neighbours estimates
-the true minimum. That is good to 0.1 % of an edge behind the filters of the paper, and to 2 %
-behind one of ratio 0.3 at 8 to 64 Hz. Margins, maps and `coupled.withstands` rest on it; the yes
-or no of the guard does not, it is exact between angles (`rational`).
+Minimum (`least_between`). A parabola through a minimum and its neighbours estimates the true
+minimum. Its error is 0.1 % of an edge with the filters of the paper, and 2 % with one of ratio 0.3
+at 8 to 64 Hz. Margins, maps and `coupled.withstands` use it. The yes or no of the guard does not:
+it is exact between angles (`rational`).
 
 Limitations: a mode whose width is below the resolution of the arithmetic (`unresolved_hz`).
 """
@@ -31,19 +31,19 @@ FIXED = np.concatenate(
 _RATIO = 1.17  # of neighbouring distances from a pole
 _CLOSEST = 0.1  # of a half-width
 _NARROWEST = 1e-8  # rad, half-width; less cannot be resolved
-_FARTHEST = 7.0  # fixed steps: there the ladder is no denser than they are
+_FARTHEST = 7.0  # fixed steps: beyond it the ladder is not denser
 
 
 def held_poles(model: Model, active_damping_ns_per_m: float) -> Complexes:
-    """Poles [rad/s] (n - 1,) of `model` with its probe held still."""
+    """Return the poles [rad/s] (n - 1,) of `model` with its probe held still."""
     rotor = port_states(model)[0]
     held = np.delete(np.delete(model.a(active_damping_ns_per_m), rotor, 0), rotor, 1)
     return np.linalg.eigvals(held).astype(np.complex128)
 
 
 def angles_of(model: Model, active_damping_ns_per_m: float = 0.0) -> Floats:
-    """Angles wT (A,) in 0..pi, ascending, at which `model` is looked at: `FIXED`, and denser about
-    its modes.
+    """Return the angles wT (A,) in 0..pi, ascending, at which `model` is evaluated: `FIXED`, and
+    denser about its modes.
     """
     centre, half = _modes(model, active_damping_ns_per_m)
     half = np.maximum(half, _NARROWEST)
@@ -65,15 +65,17 @@ def _ladder(half_width: float, end: float) -> Floats:
 
 
 def _modes(model: Model, active_damping_ns_per_m: float) -> tuple[Floats, Floats]:
-    """Angle of each mode with the probe held, folded to 0..pi, and its half-width [rad]."""
+    """Return the angle of each mode with the probe held still, folded to 0..pi, and its half-width
+    [rad].
+    """
     poles = held_poles(model, active_damping_ns_per_m) / model.rate_hz
     poles = poles[poles.imag > 0.0]
     return np.abs(np.remainder(poles.imag + np.pi, 2.0 * np.pi) - np.pi), np.abs(poles.real)
 
 
 def unresolved_hz(model: Model, active_damping_ns_per_m: float) -> list[float]:
-    """Modes [Hz] of `model` with its probe held that are too narrow to be looked at: nothing can
-    be said of an environment on such a device.
+    """Return the modes [Hz] of `model` with its probe held still that are too narrow to resolve; on
+    such a device no environment can be judged.
     """
     poles = held_poles(model, active_damping_ns_per_m)
     narrow = (poles.imag > 0.0) & (np.abs(poles.real) < _NARROWEST * model.rate_hz)
@@ -81,7 +83,7 @@ def unresolved_hz(model: Model, active_damping_ns_per_m: float) -> list[float]:
 
 
 def least_between(angles: Floats, values: Floats) -> Floats:
-    """Least value (N,) of `values` (N, A) over `angles` (A,) and between them."""
+    """Return the minimum (N,) of `values` (N, A) over `angles` (A,) and between them."""
     lowest = values.min(axis=1)
     row, _, least = vertices(angles, values)
     np.minimum.at(lowest, row, least)
@@ -89,8 +91,8 @@ def least_between(angles: Floats, values: Floats) -> Floats:
 
 
 def vertices(angles: Floats, values: Floats) -> tuple[Integers, Integers, Floats]:
-    """Row, place and least value of the parabola through each of `values` (N, A) that is below
-    both neighbours, three arrays (m,).
+    """Return row, index and minimum of the parabola through each of `values` (N, A) below both
+    neighbours, three arrays (m,).
     """
     falls = values[:, 1:-1] <= values[:, :-2]
     row, place = np.nonzero(falls & (values[:, 1:-1] <= values[:, 2:]))

@@ -1,22 +1,22 @@
-"""What effects write into while a model is composed: linear forms, states and their rates, bodies.
+"""The target of effects during composition: linear forms, states and their rates, bodies.
 
     command -> smoothing -> (+) -> amplifier -> motor force -> rotor - coupling - slider -> encoder
                              ^                                   |
                              '-- multiplier <- estimate <--------'-> probe: torque in, velocity out
 
-Effects are applied in the order of the catalogue (`effects.KINDS`), each finding the signals as the
-ones before it left them. `compose` then closes the loop of the damping circuit and turns the result
+Effects are applied in the order of the catalogue (`effects.KINDS`). Each takes the signals as the
+previous ones left them. `compose` then closes the loop of the damping circuit and turns the result
 into arrays.
 
-A form is a sum over states and inputs, each with a coefficient that may depend on the commanded
-damping level b and on the residual winding resistance r, each at most to the first power:
-c = c1 + cb b + cr r + cbr b r. So the composed A and B are affine in b and in r, which is what
-`Model` promises. A product that would leave this set is refused: it means that two effects close an
-algebraic loop that needs a lag (an amplifier or a circuit with a bandwidth) to be solved.
+A form is a sum over states and inputs. Each coefficient may depend on the commanded damping level b
+and on the residual winding resistance r, each at most to the first power: c = c1 + cb b + cr r +
+cbr b r. The composed A and B are therefore affine in b and in r, as `Model` requires. A product
+outside this set is refused: two effects then close an algebraic loop, which needs a lag (an
+amplifier or a circuit with a bandwidth).
 
-Standard library alone: reading a settings file must not load numpy.
+The module needs only the standard library, because reading a settings file must not load numpy.
 
-Two effects must not write the same rate (the later one would win in silence). A body must not have
+Two effects must not write the same rate (the later one would silently win). A body must not have
 the name of a state of another effect.
 """
 
@@ -77,7 +77,7 @@ class Form:
         return (1.0 / divisor) * self
 
     def times_level(self) -> "Form":
-        """Multiplied by the damping level. ValueError if it depends on the level already."""
+        """Multiply by the damping level. ValueError if the form already depends on the level."""
         if any(c.level or c.both for c in self.terms.values()):
             raise ValueError("a form of the second degree in the damping level")
         return Form(
@@ -85,7 +85,7 @@ class Form:
         )
 
     def times_residual(self) -> "Form":
-        """Multiplied by the residual resistance. ValueError if it depends on it already."""
+        """Multiply by the residual resistance. ValueError if the form already depends on it."""
         if any(c.residual or c.both for c in self.terms.values()):
             raise ValueError("a form of the second degree in the residual resistance")
         return Form({name: Coefficient(0.0, 0.0, c.one, c.level) for name, c in self.terms.items()})
@@ -102,14 +102,14 @@ class StateVariable:
 
 @dataclass(frozen=True, slots=True)
 class InputColumns:
-    """Columns of B and D; an input that the model does not have is None."""
+    """Columns of B and D; None for an absent input."""
 
     command: int  # virtual force, N
     torque: int  # perturbation of the probe, as endpoint force, N
     width: int  # number of columns, those of the contacts included
     estimate: int | None = None  # error of the velocity estimate, m/s
-    rotor_force: int | None = None  # force on the rotor that is not linear, N
-    amplifier: int | None = None  # what limits of the amplifier add to the motor force's rate, N/s
+    rotor_force: int | None = None  # nonlinear force on the rotor, N
+    amplifier: int | None = None  # change of motor force rate by amplifier limits, N/s
 
 
 class Parameter(NamedTuple):
@@ -123,7 +123,7 @@ class Parameter(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One effect in words."""
+    """Description of one effect."""
 
     effect: str  # its key
     why: str
@@ -134,20 +134,20 @@ class Note:
 
 
 class Copper(NamedTuple):
-    """The motor winding as it stands at the start."""
+    """The motor winding at the start."""
 
     resistance_ohm: float  # at reference_c
     reference_c: float
-    compensated_ohm: float  # that the damping circuit believes in
+    compensated_ohm: float  # assumed by the damping circuit
     start_c: float
 
 
 class AmplifierRange(NamedTuple):
-    """What the amplifier can give, and the circuit that it drives."""
+    """The limits of the amplifier, and the circuit that it drives."""
 
     current_a: float  # largest
     voltage_v: float  # largest, at its output
-    series_ohm: float  # in the circuit of the current, beside the winding
+    series_ohm: float  # in series with the winding
     inductance_h: float  # of that circuit
 
 
@@ -162,25 +162,25 @@ class Body:
     position: Form  # m
     velocity: Form  # m/s
     mass_kg: float
-    force: Form = field(default_factory=Form)  # all that acts on it but Coulomb friction, N
+    force: Form = field(default_factory=Form)  # all forces but Coulomb friction, N
     coulomb_n: float = 0.0  # level of its Coulomb friction
 
 
 @dataclass
 class Blueprint:
-    """A model that is being composed. Forces and masses are those at the endpoint."""
+    """A model during composition. Forces and masses are those at the endpoint."""
 
     states: list[StateVariable] = field(default_factory=list)
     rates: dict[str, Form] = field(default_factory=dict)  # time derivative of each state, by name
     inputs: list[str] = field(default_factory=list)
     bodies: dict[str, Body] = field(default_factory=dict)
-    slider_kg: float = 0.0  # of the rotor's mass, until a coupling takes it off
+    slider_kg: float = 0.0  # part of the rotor's mass, until a coupling separates it
     notes: list[Note] = field(default_factory=list)
 
-    command: Form = field(default_factory=Form)  # virtual force on its way to the amplifier, N
+    command: Form = field(default_factory=Form)  # virtual force before the amplifier, N
     travel: Form = field(default_factory=Form)  # integral of the recorded velocity, m
     channel: Form = field(default_factory=Form)  # the recorded velocity, m/s
-    impulse: Form | None = None  # what filters delay of the recorded torque, N s
+    impulse: Form | None = None  # delay of the recorded torque by filters, N s
     motor: Form = field(default_factory=Form)  # motor force, N
     estimate: Form = field(default_factory=Form)  # back-EMF velocity estimate, m/s
 
@@ -212,16 +212,16 @@ class Blueprint:
 
     @property
     def rotor(self) -> Body:
-        """Where motor and probe act."""
+        """The body on which motor and probe act."""
         return self.bodies["rotor"]
 
     @property
     def endpoint(self) -> Body:
-        """The slider, where hand and load act and the encoder sits, or a rigid device's rotor."""
+        """The body of hand, load and encoder: the slider, or the rotor of a rigid device."""
         return self.bodies.get("slider", self.rotor)
 
     def state(self, name: str, unit: str, effect: str) -> Form:
-        """Add a state, whose rate is to be given in `rates`."""
+        """Add a state, whose rate must be set in `rates`."""
         self.states.append(StateVariable(name, unit, effect))
         return Form.symbol(name)
 
@@ -231,9 +231,9 @@ class Blueprint:
         return Form.symbol(name)
 
     def rotor_force(self, law: str, *numbers: float) -> None:
-        """Add a force on the rotor that is not linear.
+        """Add a nonlinear force on the rotor.
 
-        `law` names it in both backends; `numbers` are its parameters in SI units.
+        `law` is its name in both backends; `numbers` are its parameters in SI units.
         """
         if not self.rotor_forces:
             self.rotor.force += self.input("rotor_force")

@@ -1,27 +1,25 @@
-"""From a scene to a `Model`: every effect that the scene calls for writes its part, the loop of the
-damping circuit is closed, and what is linear becomes one state-space model.
+"""From a scene to a `Model`: every effect of the scene writes its part, the loop of the damping
+circuit is closed, and the linear part becomes one state-space model.
 
-Nothing else is built: a rigid device without extras has two states. The loop of the damping circuit
-(Weir 2008, Fig. 6) is estimate, multiplier, amplifier, force on the rotor:
+Absent effects add nothing: a rigid device without extras has two states. The loop of the damping
+circuit (Weir 2008, Fig. 6) is estimate, multiplier, amplifier, force on the rotor:
 
     F_r'   = w_r (F_cmd - F_r)                               smoothing of the command
     F_a'   = w_a (F_r - g(b) (v_hat + e) - F_a)              current amplifier, as endpoint force
     v_hat' = w_d (v_rotor + (dR / K^2) F_a + (dL / K^2) F_a' - v_hat)
                                             Eq. 6: (V - R i - L di/dt) / K_emf, i = F_a / K
-    `effects.shaped`, where the scene has it, stands between v_hat and g(b)
+    `effects.shaped`, if the scene has it, is between v_hat and g(b)
     g(b)   = (1 + gain error) b + scale offset;  e = offset and noise of the estimate
 
-Where the scene has limits of the amplifier, `drive` adds to F_a'.
+If the scene limits the amplifier, `drive` adds to F_a'.
 
-b is the commanded damping in Ns/m, K = K_m / r the force per ampere at the endpoint, dR and dL what
-the circuit leaves of resistance and inductance uncancelled. At DC F_a = alpha (F_r - g v) with
-alpha = 1 / (1 + g dR / K^2): a hot winding makes damping AND force weaker; over-compensation makes
-both stronger until the circuit oscillates at g dR / K^2 = -1. The inductance error must stay above
--(1 / w_a + 1 / w_d) K^2 / g.
+b is the commanded damping in Ns/m, K = K_m / r the force per ampere at the endpoint, dR and dL the
+uncancelled resistance and inductance. At DC F_a = alpha (F_r - g v) with alpha = 1 / (1 + g dR /
+K^2). A hot winding weakens damping AND force. Over-compensation strengthens both until the circuit
+oscillates at g dR / K^2 = -1. The inductance error must stay above -(1 / w_a + 1 / w_d) K^2 / g.
 
-The open device (no virtual environment) must be stable at every damping level that the scene uses;
-a damping circuit beyond one of these limits is refused, unless the scene says `allow_unstable`.
-
+The open device (no virtual environment) must be stable at every damping level of the scene. A
+damping circuit beyond one of these limits is refused, unless the scene sets `allow_unstable`.
 Errors of resistance or inductance are refused without the lags that make the loop a differential
 equation.
 """
@@ -56,7 +54,6 @@ __all__ = ["compose", "compose_device", "refuse_unstable"]
 
 def drive(plan: Blueprint) -> None:
     """Close the loop of the damping circuit: estimate, multiplier, amplifier, force on the rotor.
-
     ConfigError if a lag is missing or in excess.
     """
     rotor = plan.rotor
@@ -81,14 +78,14 @@ def drive(plan: Blueprint) -> None:
 
 
 def _estimate(plan: Blueprint, motor: Form | None) -> Form:
-    """v_hat: a state of its own, or without a bandwidth what the winding shows at once."""
+    """Return v_hat: a state of its own, or without a bandwidth the algebraic estimate."""
     if plan.circuit_rad_s:
         return plan.state("velocity_estimate", "m/s", DampingCircuit.key)
     return plan.rotor.velocity + (Form() if motor is None else _left_by_resistance(plan, motor))
 
 
 def _seen(plan: Blueprint, motor: Form) -> Form:
-    """Velocity by the back-EMF, with what the circuit leaves of R i and L di/dt."""
+    """Return the velocity from the back-EMF, with the uncancelled part of R i and L di/dt."""
     seen = plan.rotor.velocity + _left_by_resistance(plan, motor)
     if not plan.inductance_error_h:
         return seen
@@ -137,9 +134,8 @@ def _short(plan: Blueprint) -> None:
 
 
 def compose(scene: Scene) -> Model:
-    """The model of `scene`.
-
-    ConfigError if its effects contradict each other or the open device is unstable.
+    """Return the model of `scene`. ConfigError if its effects contradict each other or the open
+    device is unstable.
     """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
     if not scene.allow_unstable:
@@ -149,7 +145,7 @@ def compose(scene: Scene) -> Model:
 
 
 def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str = "") -> None:
-    """ConfigError if the open device is unstable at one of these damping levels."""
+    """Raise ConfigError if the open device is unstable at one of these damping levels."""
     for level in levels_ns_per_m:
         found = stability(model, level)
         if not found.stable:
@@ -160,9 +156,8 @@ def refuse_unstable(model: Model, levels_ns_per_m: Iterable[float], remedy: str 
 
 
 def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0) -> Model:
-    """The model of a device with these effects, whatever its stability.
-
-    ConfigError if its numbers are out of reach.
+    """Return the model of a device with these effects, whatever its stability. ConfigError if its
+    numbers are out of range.
     """
     plan = Blueprint()
     chosen = in_order(effects)
@@ -232,7 +227,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
 
 
 def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Array:
-    """[A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
+    """Return [A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
     `Coefficient`, of all rates, with a column for the friction force of each contact.
     """
     names = states + plan.inputs
@@ -265,7 +260,7 @@ def _contacts(plan: Blueprint, states: list[str]) -> tuple[Contact, ...]:
 
 def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
     def output(form: Form) -> Output:
-        of_states = np.zeros((2, len(states)))  # without the level, and what goes with it
+        of_states = np.zeros((2, len(states)))  # constant part, and part proportional to the level
         of_inputs = np.zeros((2, width))
         for name, c in form.terms.items():
             at = (c.one + plan.residual_ohm * c.residual, c.level + plan.residual_ohm * c.both)
@@ -296,7 +291,7 @@ def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
 
 
 def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
-    """In newtons at the endpoint; the winding's resistance is that at the start."""
+    """Return the limits in newtons at the endpoint, with the winding's resistance at the start."""
     given = plan.amplifier_range
     if given is None or plan.amplifier_rad_s is None:
         return None

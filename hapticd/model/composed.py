@@ -1,23 +1,24 @@
-"""The composed device of a simulated board: its tables loaded, and its step written as
-straight-line Python with nothing in it that the device does not have. Standard library alone.
+"""The composed device of a simulated board: its tables, and its step as generated straight-line
+Python with only the terms that the device has. Standard library alone.
 
     map        n rows of [Phi Gamma] for one sub-step, inputs held; exact at a node of the table
                (damping level, residual resistance), interpolated linearly between nodes
     sub-step   every state's new value in one expression; friction as a clamp on the velocity row
                (as `friction.stick_one`)
-    leap       four or two sub-steps at once where nothing has to be decided in between: no
-               friction, force that is not linear or heating, and no end of the workspace met
+    leap       four or two sub-steps at once if nothing has to be decided in between: no friction,
+               nonlinear force or heating, and no end of the workspace met
 
-What is 0 at every node is left out of the rows. Of a device that floats freely only the difference
-of its two positions appears (`stretch`). The forces on the rotor, perturbation, what is not linear
-and its friction, have equal columns: they are added before they are multiplied (`push`).
+Terms that are 0 at every node are omitted from the rows. For a device that floats freely only the
+difference of its two positions appears (`stretch`). The forces on the rotor (perturbation,
+nonlinear forces and its friction) have equal columns, so they are added before multiplication
+(`push`).
 
-Coefficients are cells of the closure, loaded when the damping level changes, with names made of the
+Coefficients are cells of the closure, loaded when the damping level changes. Their names are the
 letter of their block (`blocks`) and a number; between nodes there are no leaps. Everything that a
-node needs is computed when the board is made, so a live change of damping costs one lookup, a level
-between nodes one interpolation. A winding that heats up has its temperature as the last value of
+node needs is computed when the board is made. A live change of damping costs one lookup, a level
+between nodes one interpolation. For a winding that heats up, its temperature is the last value of
 the state. Views are the outputs as generated functions. Generated source stays in `linecache`, so
-that a traceback shows it.
+that tracebacks show it.
 
 Limitations: friction on more than two bodies. Coefficients must be loaded in the order of
 `RowTerms.flat`.
@@ -52,15 +53,15 @@ __all__ = ["VELOCITY", "State"]
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state
 Blocks = dict[str, Rows]  # rows by the letter that names their coefficients in the source
-State = tuple[float, ...]  # what a step takes and gives; only the plant understands it
-# places in a State: of the rotor, which every plant has first, and of a winding that heats up
+State = tuple[float, ...]  # argument and result of a step; opaque outside the plant
+# indices into a State: the rotor, always first, and a winding that heats up
 POSITION: Final = 0
 VELOCITY: Final = 1
 WINDING: Final = -1
 Step = Callable[[State, float, float, float, int], State]  # as `model.step.make_step` returns it
 View = Callable[[State, float, float], float]  # of (state, force_n, active_damping_ns_per_m)
 
-TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.02 K of 1.6 ohm
+TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are reloaded: 0.02 K of 1.6 ohm
 LEAPS = {4: "d", 2: "b"}  # sub-steps of a leap, and its block of coefficients
 ON_ROTOR = ("torque", "rotor_force", "friction_rotor")  # inputs with equal columns
 # name of an input in the generated text; those on the rotor are added up in `push` beforehand
@@ -76,7 +77,7 @@ _serial = itertools.count(1)  # of generated sources, so that tracebacks find th
 
 
 class Response(NamedTuple):
-    """What a force held for one sub-step does to the rotor by its end."""
+    """Change of the rotor's motion by a force held for one sub-step, at its end."""
 
     position_m_per_n: float
     velocity_m_per_s_per_n: float
@@ -91,7 +92,7 @@ class Product(NamedTuple):
 
 
 def followed(first: Rows, then: Rows) -> Rows:
-    """`then` after `first`, with the same inputs."""
+    """Return the map of `then` after `first`, with the same inputs."""
     n = len(first)
     width = len(first[0])
     return tuple(
@@ -104,10 +105,10 @@ def followed(first: Rows, then: Rows) -> Rows:
 
 
 def blocks(params: PlantParams, one: Rows) -> Blocks:
-    """The rows of a node: a over one sub-step, b and d over two and four where that is exact.
+    """Return the rows of a node: a over one sub-step, b and d over two and four if that is exact.
 
-    It is exact where nothing has to be decided in between: no friction, no force on the rotor that
-    is not linear, no limit of the amplifier, no heating.
+    It is exact if nothing has to be decided in between: no friction, no nonlinear force on the
+    rotor, no limit of the amplifier, no heating.
     """
     if params.contacts or params.rotor_forces or params.drive or params.heating:
         return {"a": one}
@@ -128,13 +129,15 @@ class Lookup:
         ]
 
     def node(self, level: float, residual: float) -> int | None:
-        """Number of the node that stands exactly there; None if there is none."""
+        """Number of the node at exactly these values; None if there is none."""
         if level in self.levels and residual in self.residuals:
             return self.residuals.index(residual) * len(self.levels) + self.levels.index(level)
         return None
 
     def between(self, level: float, residual: float) -> Rows:
-        """The map there, linear between nodes on either axis; the outermost nodes are extended."""
+        """Return the map there, linear between nodes on either axis; the outermost nodes are
+        extrapolated.
+        """
         place, part = _bracket(self.levels, level)
         layer, height = _bracket(self.residuals, residual)
         lower = self._mixed(layer * len(self.levels) + place, part)
@@ -162,13 +165,13 @@ def _blend(a: Rows, b: Rows, part: float) -> Rows:
 
 
 class RowTerms:
-    """Which products the rows of a device's maps need, over all of its nodes."""
+    """The products that the rows of a device's maps need, over all of its nodes."""
 
     def __init__(self, params: PlantParams, nodes: list[Blocks]) -> None:
         self.params = params
         self.n = len(params.states)
         positions = [i for i, name in enumerate(params.states) if name.endswith("_position")]
-        # of a device that floats freely nothing depends on a position itself
+        # in a device that floats freely nothing depends on a position itself
         self.positions = positions if params.floating else []
         self.by_letter = {
             letter: [self._needed(i, [node[letter][i] for node in nodes]) for i in range(len(rows))]
@@ -176,16 +179,16 @@ class RowTerms:
         }
 
     def flat(self, letter: str, rows: Rows) -> Row:
-        """Coefficients of the block `letter` in the order of its names."""
+        """Return the coefficients of the block `letter` in the order of its names."""
         pairs = zip(rows, self.by_letter[letter], strict=True)
         return tuple(sign * row[column] for row, terms in pairs for _, column, sign in terms)
 
     def names(self, letter: str) -> list[str]:
-        """The names of the cells of the block `letter`."""
+        """Return the names of the cells of the block `letter`."""
         return [f"{letter}{k}" for k in range(sum(map(len, self.by_letter[letter])))]
 
     def row(self, letter: str, i: int, **renamed: str) -> str:
-        """The expression of row i of the block. `renamed` variables: "" leaves one out."""
+        """Return the expression of row i of the block. `renamed` maps variables; "" omits one."""
         first = sum(map(len, self.by_letter[letter][:i]))
         factors = [renamed.get(term.variable, term.variable) for term in self.by_letter[letter][i]]
         products = [f"{letter}{first + k} * {factor}" for k, factor in enumerate(factors) if factor]
@@ -193,7 +196,7 @@ class RowTerms:
         return " + ".join(base + products) or "0.0"
 
     def cell(self, letter: str, i: int, column: str) -> str:
-        """The cell that holds the coefficient of the input `column` in row i."""
+        """Return the cell that holds the coefficient of the input `column` in row i."""
         j = self.n + self.params.columns.index("torque" if column in ON_ROTOR else column)
         first = sum(map(len, self.by_letter[letter][:i]))
         return f"{letter}{first + [term.column for term in self.by_letter[letter][i]].index(j)}"
@@ -215,7 +218,7 @@ class RowTerms:
 
 
 def viewer(terms: RowTerms, name: str) -> View:
-    """`view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
+    """Return `view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
     picked = picked_state(getattr(terms.params, name))
     if picked is None:
         state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
@@ -228,14 +231,14 @@ def viewer(terms: RowTerms, name: str) -> View:
 
 
 def picked_state(output: OutputParams) -> int | None:
-    """Index of the state that the output is, if it is nothing but one."""
+    """Return the index of the state that equals the output; None if no state does."""
     places = [i for i, c in enumerate(output.c0) if c]
     plain = not any(output.c1) and not any(output.d0) and not any(output.d1)
     return places[0] if plain and len(places) == 1 and output.c0[places[0]] == 1.0 else None
 
 
 def output_text(terms: RowTerms, name: str, level: str = "level") -> str:
-    """The output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
+    """Return the output `name` of `terms.params` as an expression in x0.., force_n and `level`."""
     output = getattr(terms.params, name)
     parts = []
     for c0, c1, variable in zip(
@@ -254,7 +257,7 @@ def _scaled(c0: float, c1: float, variable: str, level: str) -> list[str]:
 
 
 def compiled(source: str, title: str) -> dict[str, Any]:
-    """The names that `source` defines; `title` is what tracebacks call it."""
+    """Return the names that `source` defines; `title` is its name in tracebacks."""
     name = f"<{title} {next(_serial)}>"
     linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
     namespace: dict[str, Any] = {}
@@ -263,11 +266,11 @@ def compiled(source: str, title: str) -> dict[str, Any]:
 
 
 def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> str:
-    """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step, and for a
-    winding that heats up `compensate(trim_ohm)`, else None.
+    """Return the text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step, and
+    for a winding that heats up also `compensate(trim_ohm)`, otherwise None.
 
-    The step is that of `model.step.make_step`. The cells of the closure are the coefficients; only
-    a change of the level (or a drift of the winding, or of its compensation) loads them anew.
+    The step is that of `model.step.make_step`. The cells of the closure are the coefficients. They
+    are reloaded only when the level, the winding or its compensation changes.
     """
     heat = terms.params.heating
     lines = [
@@ -286,7 +289,7 @@ def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: 
 
 
 def _load(terms: RowTerms) -> list[str]:
-    """`load()`, which sets the cells for the level and the residual; no leaps between nodes."""
+    """Write `load()`, which sets the cells for level and residual; no leaps between nodes."""
     first, *leaps = terms.by_letter
     cells = [name for letter in terms.by_letter for name in terms.names(letter)]
     return [
@@ -306,7 +309,7 @@ def _load(terms: RowTerms) -> list[str]:
 
 
 def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> list[str]:
-    """`step(...)`, which loads what changed and moves the device by whole sub-steps."""
+    """Write `step(...)`, which reloads changed coefficients and moves the device by sub-steps."""
     params = terms.params
     heat = params.heating
     leaps = _leaps(terms)
@@ -336,7 +339,7 @@ def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> 
 
 
 def _leaping(leaps: list[str]) -> list[str]:
-    """The loop over pieces: leap while that is possible, else take `count` sub-steps one by one."""
+    """Write the loop over pieces: leap if possible, otherwise take `count` sub-steps one by one."""
     return [
         "        left = n_substeps",
         "        while left:",
@@ -349,9 +352,9 @@ def _leaping(leaps: list[str]) -> list[str]:
 
 
 def _leaps(terms: RowTerms) -> list[str]:
-    """An `if` over the leaps.
+    """Write an `if` over the leaps.
 
-    Each is left by `continue`, or with `count` sub-steps to take one by one because an end of the
+    A leap ends with `continue`, or with `count` sub-steps to take one by one because an end of the
     workspace would be met.
     """
     lines: list[str] = []
@@ -401,7 +404,7 @@ def _substep(terms: RowTerms, substep_s: float) -> list[str]:
 
 
 def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) -> list[str]:
-    """The motor force held inside what current and voltage reach (`drive`), before friction."""
+    """Write the limit of the motor force by current and voltage (`drive`), before friction."""
     force = limits.motor_force
     can = reach(limits, substep_s)
     return [
@@ -414,7 +417,7 @@ def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) 
 
 
 def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str], list[str]]:
-    """(lines that find the friction force, rows that use it): `friction.stick_one` written out."""
+    """Return (lines that find the friction force, rows that use it): `friction.stick_one`."""
     response = terms.cell("a", contact.velocity, f"friction_{contact.body}")
     level = repr(contact.level_n)
     lines = [
@@ -439,9 +442,8 @@ def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str
 
 
 def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
-    """(lines that find both friction forces, rows that use them).
-
-    A body that sticks gets v = 0.0 exactly, not what rounding leaves of it.
+    """Return (lines that find both friction forces, rows that use them). A body that sticks gets v
+    = 0.0 exactly, without rounding error.
     """
     first, second = terms.params.contacts
     names = [f"friction_{contact.body}" for contact in (first, second)]
@@ -473,12 +475,14 @@ def _two_contacts(terms: RowTerms, push: str) -> tuple[list[str], list[str]]:
 
 
 def _unmoved(contact: Contact, after: str, moved: str) -> str:
-    """Its body's position: where it was if it stood and sticks, else `moved`; see `friction`."""
+    """Return the position of its body: unchanged if it stood and sticks, otherwise `moved`; see
+    `friction`.
+    """
     return f"x{contact.position} if x{contact.velocity} == 0.0 == {after} else {moved}"
 
 
 def _assigned(terms: RowTerms, rows: list[str]) -> list[str]:
-    """All states at once, a row to a line."""
+    """Assign all states at once, one row per line."""
     return [
         f"{', '.join(f'x{i}' for i in range(terms.n))} = (",
         *(f"    {row}," for row in rows),
@@ -501,7 +505,7 @@ ROTOR_LAWS: dict[str, Callable[..., str]] = {"sine": _sine}
 
 
 def _pulled(forces: Sequence[RotorForce], substep_s: float) -> list[str]:
-    """Forces that are not linear, at mid sub-step: a conservative one stays nearly conservative."""
+    """Write the nonlinear forces, at mid sub-step: a conservative one stays nearly conservative."""
     if not forces:
         return []
     x = f"x{forces[0].position}"
@@ -514,7 +518,7 @@ def _pulled(forces: Sequence[RotorForce], substep_s: float) -> list[str]:
 
 
 def _stopped(ends: Ends) -> list[str]:
-    """An inelastic end: the position is put back, and velocity towards the end is lost."""
+    """Write an inelastic end: the position is reset to it, and velocity towards it is lost."""
     x = f"x{ends.position}"
     v = f"x{ends.velocity}"
     lines = []
@@ -540,7 +544,7 @@ def _error(noise: Noise | None, offset_m_per_s: float, substep_s: float) -> Iter
 
 
 def _compensate(heat: HeatingParams) -> list[str]:
-    """`compensate(trim_ohm)`: what the circuit believes in beyond that of count 0."""
+    """Write `compensate(trim_ohm)`: the compensated resistance beyond that of count 0."""
     nominal = repr(heat.compensated_ohm)
     return [
         f"    compensated_ohm = {nominal}",
@@ -553,7 +557,7 @@ def _compensate(heat: HeatingParams) -> list[str]:
 
 
 def _ohms(heat: HeatingParams) -> list[str]:
-    """Resistance of the winding as it is, and what of it is not compensated."""
+    """Write the true resistance of the winding and its uncompensated part."""
     kelvin = f"(celsius - {heat.reference_c!r})"
     return [
         f"        hot = {heat.resistance_ohm!r} * (1.0 + {COPPER_PER_K!r} * {kelvin})",
@@ -564,9 +568,8 @@ def _ohms(heat: HeatingParams) -> list[str]:
 def _warmed(
     terms: RowTerms, heat: HeatingParams, substep_s: float, torque_constant_n_per_a: float
 ) -> list[str]:
-    """The winding warmed by the copper loss of the motor force at the end of the piece.
-
-    Euler's rule is enough: a piece is a ten-thousandth of the time constant.
+    """Write the heating of the winding by the copper loss of the motor force at the end of the
+    piece. Euler's rule is accurate enough: a piece is a ten-thousandth of the time constant.
     """
     force = output_text(terms, "motor_force", "active_damping_ns_per_m")
     per_w = heat.thermal_resistance_k_per_w / torque_constant_n_per_a**2
@@ -580,9 +583,11 @@ def _warmed(
 def composed_step(
     params: PlantParams, board: BoardParams, substep_s: float
 ) -> tuple[Step, RowTerms, Callable[[float], None] | None]:
-    """The step of the composed device `params` of `board`, in sub-steps of `substep_s`, as
-    `model.step.make_step` describes it; its terms; and what sets the ohm that a board adds to the
-    nominal compensation. None: the winding keeps its temperature, so its maps hold for one residual
+    """Return the step of the composed device `params` of `board`, in sub-steps of `substep_s`, as
+    `model.step.make_step` describes it; its terms; and the function that sets the resistance [ohm]
+    added to the nominal compensation.
+
+    The last is None if the winding keeps its temperature: its maps then hold for one residual
     resistance.
     """
     _check(params)
@@ -605,8 +610,8 @@ def composed_step(
 
 
 def rotor_response(params: PlantParams) -> Callable[[float], Response]:
-    """`response(active_damping_ns_per_m)`: what a force on the rotor that is held for one sub-step
-    does; at the first residual resistance.
+    """Return `response(active_damping_ns_per_m)`: the response of the rotor to a force held for one
+    sub-step, at the first residual resistance.
     """
     lookup = Lookup(params)
     column = len(params.states) + params.columns.index("torque")
@@ -619,7 +624,7 @@ def rotor_response(params: PlantParams) -> Callable[[float], Response]:
 
 
 def rest(params: PlantParams, position_m: float) -> State:
-    """Everything still, every body at `position_m`, the winding as warm as it starts."""
+    """Return the state at rest, every body at `position_m`, the winding as at the start."""
     state = tuple(position_m if name.endswith("_position") else 0.0 for name in params.states)
     return state if params.heating is None else (*state, params.heating.start_c)
 

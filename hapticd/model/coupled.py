@@ -1,5 +1,5 @@
-"""What a hand can do to a display: which environments no passive hand makes oscillate, and the hand
-that does.
+"""Stability in passive hands: which environments no passive hand makes oscillate, and a hand that
+does.
 
 Hands (`Hand`) are passive one-ports at the probe, networks of masses, dampers and springs:
 
@@ -7,35 +7,35 @@ Hands (`Hand`) are passive one-ports at the probe, networks of masses, dampers a
     Z_h = S(s) / s with S the stiffness seen at node 0, the others free
 
 M, D and K have no negative eigenvalue (masses are on the nodes; a damper or spring adds a square of
-one difference). For every s with Re s > 0 that alone makes Re Z_h(s) >= 0, so all of them are
+one difference). This alone makes Re Z_h(s) >= 0 for every s with Re s > 0, so all of them are
 positive real: passive by construction (Brune 1931), from a fingertip to a tree of resonators
-without any loss. A node may be without a mass where a damper holds it, as in a Maxwell arm.
-`held_by` puts the hand on the rotor of a composed device, exactly, so that the eigenvalues of its
-sampled loop can be computed.
+without loss. A node may be without a mass if a damper holds it, as in a Maxwell arm. `held_by`
+attaches the hand to the rotor of a composed device exactly, so that the eigenvalues of its sampled
+loop can be computed.
 
-What they can do (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the
-device's 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle
-over the diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, what the law sees: with
-the terms of `theorem` the pulse transfer of device and hand together is
+Stability (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
+1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
+diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, the loop's pulse transfer. With
+the terms of `theorem` that of device and hand together is
 
     G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,
     g = e + sum h q / (2 r),   R = sum |h q| / (2 r)
 
-and the loop closes as 1 + C G_h. A hand can be let in slowly, s Z_h with s from 0 to 1: all of
-these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
-the way; what was stable alone is stable in every hand (zero exclusion). Inside it, masses and
-springs that reach the rim exist (`destabilising_hand`): for hands that do not change with time this
-is necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum |q|^2/r) in place of sum
-|hq|/r, the same for a rigid device and up to 4-15 % more for the calibrated ones, because it also
-holds for hands that mix harmonics, such as a grip that changes. What passes the theorem passes
-this.
+and the loop closes as 1 + C G_h. A hand can be introduced gradually, s Z_h with s from 0 to 1: all
+of these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
+the way, so a loop that is stable alone is stable in every hand (zero exclusion). If it is inside,
+masses and springs that reach the rim exist (`destabilising_hand`): for hands that do not change
+with time the condition is necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum
+|q|^2/r) in place of sum |hq|/r. That is equal for a rigid device and up to 4-15 % more for the
+calibrated ones, because the theorem also holds for hands that mix harmonics, such as a grip that
+changes. An environment that passes the theorem passes this condition.
 
-Friction, as a damper on the rotor, adds to r and to nothing else; it counts only for motions as
-small as those at which it was linearised.
+Friction, as a damper on the rotor, adds to r alone. It counts only for motions as small as those at
+which it was linearised.
 
-Limitations: an environment that is unstable with no hand at all (`loop.spectral_radius`); a hand
-that holds the device elsewhere than at the probe, where another impedance is met; or a node that
-only dampers hold, which stays where it is pushed to, an eigenvalue 1 that is no oscillation.
+Limitations: an environment that is unstable without a hand (`loop.spectral_radius`); a hand that
+holds the device elsewhere than at the probe, where the impedance differs; a node that only dampers
+hold, which stays where it is pushed, an eigenvalue 1 that is not an oscillation.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -58,9 +58,9 @@ __all__ = ["Hand", "coupled_radius", "shaking_hand"]
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
-_DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve
+_DETUNED = (1e-3, 1e-4, 1e-5)  # offsets of the resonances from their frequencies
 _ENDLESS = 1e100  # times 0 is 0
-_LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its image are one
+_LAST = 0.98 * np.pi  # closer to half the servo's rate a frequency and its image coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Hand:
     stiffness_n_per_m: Floats  # (n, n)
 
     def __post_init__(self) -> None:
-        """Refuse what is not passive."""
+        """Refuse matrices that are not passive."""
         for name, matrix in (
             ("mass", np.diag(self.mass_kg)),
             ("damping", self.damping_ns_per_m),
@@ -101,8 +101,8 @@ class Hand:
         return np.asarray((self.mass_kg == 0.0) & (np.arange(self.mass_kg.size) > 0))
 
     def impedance(self, s: Complexes) -> Complexes:
-        """Impedance Z_h(s) (F,) [N s/m] at complex frequencies s (F,) [rad/s] that are not its
-        poles.
+        """Return the impedance Z_h(s) (F,) [N s/m] at complex frequencies s (F,) [rad/s] other than
+        its poles.
         """
         x = s[:, None, None]
         all_nodes = (
@@ -113,8 +113,8 @@ class Hand:
 
 
 def held_by(model: Model, hand: Hand) -> Model:
-    """Return `model` with `hand` on its rotor, where the probe is. The temperature of its
-    winding stays as it is.
+    """Return `model` with `hand` on its rotor, where the probe is. The temperature of its winding
+    is fixed.
     """
     rotor = int(np.argmax(model.outputs.velocity.c0))
     place = int(np.argmax(model.outputs.position.c0))
@@ -133,7 +133,7 @@ def held_by(model: Model, hand: Hand) -> Model:
     velocity[loose] = -np.linalg.solve(hand.damping_ns_per_m[np.ix_(loose, loose)], push[loose])
     force = hand.damping_ns_per_m @ velocity + hand.stiffness_n_per_m @ position
     ease = float(model.b0[rotor, model.inputs.torque])  # 1/kg
-    # the hand's mass on the probe moves with the rotor, which is heavier by it
+    # the hand's mass on the probe adds to that of the rotor
     share = 1.0 / (1.0 + ease * hand.mass_kg[0])
     a0 = _wider(model.a0, size, size, rotor, share)
     a0[rotor] -= share * ease * force[0]
@@ -156,7 +156,7 @@ def held_by(model: Model, hand: Hand) -> Model:
 
 
 def _wider(matrix: Floats, rows: int, columns: int, rotor: int, share: float) -> Floats:
-    """Return `matrix` of the device among zeros for the hand, its rotor heavier."""
+    """Return `matrix` of the device padded with zeros for the hand, its rotor heavier."""
     found = np.zeros((rows, columns))
     found[: len(matrix), : matrix.shape[1]] = matrix
     found[rotor] *= share
@@ -178,9 +178,9 @@ def _seen(outputs: Outputs, size: int) -> Outputs:
 
 
 def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> tuple[Complexes, Floats]:
-    """The circle that holds the pulse transfer of a device, with that damper on its rotor, in every
-    passive hand: centre and radius (A,) [m/N] at the angles of its lift. Without any damping of its
-    own the circle is boundless.
+    """Return the circle that contains the pulse transfer of a device, with that damper on its
+    rotor, in every passive hand: centre and radius (A,) [m/N] at the angles of its lift. Without
+    damping of its own the circle is unbounded.
     """
     resistance = lifted.resistance + friction_ns_per_m
     if resistance.min() <= 0.0:
@@ -192,8 +192,8 @@ def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> tuple[Complex
 def coupled_stable(
     lifted: LiftedSystem, points: npt.ArrayLike, friction_ns_per_m: npt.ArrayLike = 0.0
 ) -> Flags:
-    """Whether no passive hand makes environments (N, 3) oscillate that are stable without a hand:
-    (N,).
+    """Return whether no passive hand makes environments (N, 3) oscillate that are stable without a
+    hand: (N,).
 
     `friction_ns_per_m`: linearised friction of the rotor, (N,) or one value for all.
     """
@@ -215,19 +215,20 @@ def destabilising_hand(
     friction_ns_per_m: float = 0.0,
     at_hz: float | None = None,
 ) -> tuple[Hand, float] | None:
-    """A hand in which (K, B, M) oscillates, and about where [Hz]: near `at_hz`, or where what is
-    missing of damping should let the motion grow fastest; None if no hand can do it there.
+    """Return a hand in which (K, B, M) oscillates, and the approximate frequency [Hz]: near
+    `at_hz`, or where the lack of damping should let the motion grow fastest; None if no hand is
+    possible there.
 
     The hand has no loss: a mass, or a spring to the wall, that reaches the rim of the circle there,
     and a small tuned mass for each of eight images. Above a quarter of the servo's rate, where more
-    images weigh, it may miss by some percent of damping; above 0.98 of half the rate none is
-    sought.
+    images count, it may miss by a few percent of damping. Above 0.98 of half the rate there is no
+    search.
     """
     lifted = lifted_system(model, active_damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     angles = lifted.angles
     short = -_outside(lifted, kbm, friction_ns_per_m)
-    # a margin of so many radii lets the motion grow the faster, the higher the frequency
+    # for a given margin in radii the motion grows faster at higher frequency
     wanted = short * angles
     if at_hz is not None:
         wanted = -np.abs(angles - 2.0 * np.pi * at_hz / model.rate_hz)
@@ -253,11 +254,11 @@ def destabilising_hand(
 
 
 def _tuned(w: Floats, reactance: Floats) -> Hand:
-    """The hand without loss whose Z_h(jw) is j `reactance` (n,) [N s/m] at `w` (n,) [rad/s]."""
+    """Return the lossless hand whose Z_h(jw) is j `reactance` (n,) [N s/m] at `w` (n,) [rad/s]."""
     heavy = reactance[0] > 0.0  # a mass on the probe, otherwise a spring to the wall
     plain = w if heavy else -1.0 / w
     above = reactance > plain * reactance[0] / plain[0]
-    # nearer resonances ask for smaller tuned masses; the first set without a negative one will do
+    # closer resonances need smaller tuned masses; take the first set without a negative one
     for detuned in _DETUNED:
         peak = w * np.where(above, 1.0 + detuned, 1.0 - detuned)
         share = w[:, None] * peak**2 / (peak**2 - w[:, None] ** 2)
@@ -280,11 +281,10 @@ def coupled_radius(
     active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Floats:
-    """Spectral radius (hands, N) of the sampled loop under `points` (N, 3) in each hand; exact,
-    some 40 us for each pair.
+    """Return the spectral radius (hands, N) of the sampled loop under `points` (N, 3) in each hand;
+    exact, about 40 us per pair.
 
-    A radius of 1 within 1e-9 is a mode of the hand without loss, or one in which display and hand
-    drift together.
+    A radius of 1 within 1e-9 is a mode of a lossless hand, or a common drift of display and hand.
     """
     return np.array(
         [
@@ -301,7 +301,7 @@ class DestabilisingHand:
     """A passive hand in which the display oscillates."""
 
     hand: Hand
-    hz: float  # about where
+    hz: float  # approximate frequency
     radius: float  # spectral radius of a tick with the hand
 
 
@@ -312,7 +312,9 @@ def shaking_hand(
     filters: Filters,
     at_hz: float | None = None,
 ) -> DestabilisingHand | None:
-    """The hand of `destabilising_hand` if the motion grows in it, by its exact tick; else None."""
+    """Return the hand of `destabilising_hand` if the motion grows in it, by its exact tick;
+    otherwise None.
+    """
     found = destabilising_hand(model, point, active_damping_ns_per_m, filters, at_hz=at_hz)
     if found is None:
         return None
@@ -323,8 +325,8 @@ def shaking_hand(
 
 
 def _outside(lifted: LiftedSystem, point: Floats, friction_ns_per_m: float) -> Floats:
-    """How far -1/C is outside the circle, in radii (A,); inf where there is no law. It falls to
-    0 with the square of the frequency.
+    """Return the distance of -1/C outside the circle, in radii (A,); inf where there is no law. It
+    falls to 0 with the square of the frequency.
     """
     centre, radius = reach(lifted, friction_ns_per_m)
     law = point @ lifted.law

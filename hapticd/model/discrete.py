@@ -4,26 +4,26 @@
 
 A command that takes effect the fraction p of a step late splits its column: the old value acts for
 p h, the new one for (1 - p) h, Gamma_new = integral over (1 - p) h, Gamma_old = Gamma - Gamma_new.
-That is exact; no sub-steps are needed for it.
+That is exact; it needs no sub-steps.
 
-The exponential is found by scaling, Taylor series and squaring, in extended precision:
+The exponential is computed by scaling, Taylor series and squaring, in extended precision:
 
     e^X = (e^(X / 2^s))^(2^s),   s such that the 1-norm of X / 2^s is at most 1/2
 
-At norm 1/2 the series of 25 terms is complete to 1e-33, so only rounding is left, and the squarings
+At norm 1/2 the series of 25 terms is complete to 1e-33, so only rounding remains, and the squarings
 amplify that by 2^s at worst. numpy's long double has 64 bits of mantissa on x86 and 113 on ARM
-Linux, which leaves the result correct to the last bits of a double; a Pade approximant would save a
-few products and need a solver that long double does not have. The matrix is balanced first by
+Linux, which leaves the result correct to the last bits of a double. A Pade approximant would save a
+few products but need a solver, which long double does not have. The matrix is balanced first by
 powers of two (exact), because states in metres and in newtons differ by many orders.
 
 Reference: Moler and Van Loan 2003, "Nineteen dubious ways to compute the exponential of a matrix",
 method 3.
 
-`computable` says clearly where double precision cannot compute a device's numbers: one of a device
-file has the right sign and unit, and may still be 1e-308 kg.
+`computable` reports devices whose numbers double precision cannot handle: a value of a device file
+may have the right sign and unit, and still be 1e-308 kg.
 
 Computations of the composed model must be inside `computable`, and the input must be held over the
-step. Limitations: a platform whose long double is a double (the last three digits go).
+step. Limitations: a platform whose long double is a double (the last three digits are lost).
 """
 
 from collections.abc import Iterator
@@ -40,13 +40,13 @@ __all__ = ["discretise", "drive_response_s", "expm"]
 TERMS = 25
 LARGEST_NORM = 0.5
 BALANCE_SWEEPS = 8
-# of what limits of an amplifier do to it alone, by which they must move the motor force in a step
+# of the amplifier's own response to its limits: minimum response of the motor force in a step
 LEAST_SHARE = 0.25
 
 
 @contextmanager
 def computable(name: str, what: str) -> Iterator[None]:
-    """ConfigError where `what` of model `name` divides by zero, overflows or has no eigenvalues."""
+    """Raise ConfigError if `what` of `name` divides by zero, overflows or lacks eigenvalues."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield
@@ -55,13 +55,15 @@ def computable(name: str, what: str) -> Iterator[None]:
 
 
 def require_finite(name: str, what: str, *arrays: Array) -> None:
-    """ConfigError if `what` of model `name` is not finite: Python multiplies into infinity."""
+    """Raise ConfigError if `what` of model `name` is not finite: Python's product may overflow to
+    infinity.
+    """
     if not all(np.isfinite(array).all() for array in arrays):
         raise beyond(name, what, "not finite")
 
 
 def beyond(name: str, what: str, why: str) -> ConfigError:
-    """The error for numbers out of reach."""
+    """Return the error for numbers out of range."""
     return ConfigError(
         f"{name!r}: {what} cannot be computed ({why}): a number of the device or scene is beyond"
         " what double precision reaches (some 1e-308 to 1e308); correct the one that is far from"
@@ -70,7 +72,7 @@ def beyond(name: str, what: str, why: str) -> ConfigError:
 
 
 def expm(matrix: Array) -> Array:
-    """e^matrix for a finite square float64 matrix (n, n). ValueError if it is not finite."""
+    """Return e^matrix for a finite square float64 matrix (n, n). ValueError if it is not finite."""
     if not np.isfinite(matrix).all():
         raise ValueError("the exponential of a matrix that is not finite")
     scale = _balance(matrix)
@@ -114,13 +116,12 @@ def _balance(matrix: Array) -> Array:
     return scale
 
 
-SNAP = 1e-9  # of a step: a delay this near to a whole step is one
+SNAP = 1e-9  # of a step: a delay this close to a whole step is one
 
 
 def discretise(model: Model, duration_s: float, active_damping_ns_per_m: float = 0.0) -> Map:
-    """The exact map of `model` over `duration_s` at that damping level, inputs held.
-
-    ConfigError if its numbers are out of reach.
+    """Return the exact map of `model` over `duration_s` at that damping level, inputs held.
+    ConfigError if its numbers are out of range.
     """
     n, m = model.b0.shape
     whole = np.zeros((n + m, n + m))
@@ -136,9 +137,8 @@ def discretise(model: Model, duration_s: float, active_damping_ns_per_m: float =
 
 
 def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Array]:
-    """Columns (old, new), each (n,), of a command that changes within the step `whole`.
-
-    It changes `fraction` (0..1) of the step after its start.
+    """Return columns (old, new), each (n,), of a command that changes within the step `whole`,
+    `fraction` (0..1) of the step after its start.
     """
     column = model.inputs.command
     rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.active_damping_ns_per_m)
@@ -146,8 +146,8 @@ def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Arra
 
 
 def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> float:
-    """How much the input `column`, by which `limits` act, moves the motor force in the step of
-    `whole`, N per N/s. ConfigError if that is too little to end the step where the force may be.
+    """Return the motion of the motor force per input `column`, by which `limits` act, in the step
+    of `whole`, N per N/s. ConfigError if that is too small to end the step inside the limits.
     """
     found = float(whole.b[limits.motor_force, column])
     alone_s = (1.0 - exp(-limits.amplifier_rad_s * whole.duration_s)) / limits.amplifier_rad_s
@@ -161,7 +161,7 @@ def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> flo
 
 
 def delay_steps(delay_periods: float) -> tuple[int, float]:
-    """(whole periods, fraction of one) after the sample at which the command takes effect."""
+    """Return (whole periods, fraction of one) from the sample to the effect of the command."""
     count = floor(delay_periods + SNAP)
     fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0

@@ -1,26 +1,25 @@
 """Every effect that a simulated device can have, one class each, in the order of composition.
 
-An effect is one table of a device file ([model.KEY]) and a frozen value: it says why it exists,
-where its numbers come from, and what it adds to the equations. Its parameters are its fields, with
-the unit in the name; every number carries one of three tags: paper (printed by Weir, Colgate and
-Peshkin 2008), inferred (from other known facts or from good practice), calibrated (fitted so that
-the device reproduces the paper's limits). The catalogue (`KINDS`, at the end) is what this module
-defines, in the order of the text; a scene names an effect by its `key`, and `ALWAYS` are built
-without being named.
+An effect is one table of a device file ([model.KEY]) and a frozen value. It contains its purpose,
+the sources of its numbers, and its terms of the equations. Its parameters are its fields, with the
+unit in the name. Every number has one of three tags: paper (printed by Weir, Colgate and Peshkin
+2008), inferred (from other known facts or good practice), calibrated (fitted so that the device
+reproduces the paper's limits). The catalogue (`KINDS`, at the end) lists the classes in the order
+of the text. A scene selects an effect by its `key`; those in `ALWAYS` are always built.
 
-What moves: one mass or two, what resists, and what is attached at either end.
+Bodies: one mass or two, their friction, and the parts attached at either end.
 
     m_r v_r' = -k (x_r - x_s) - b (v_r - v_s) - b_r v_r + F_motor + F_probe + F_cogging - Coulomb
     m_s v_s' =  k (x_r - x_s) + b (v_r - v_s) - b_s v_s + F_load + F_hand              - Coulomb
 
-Everything is reflected to the endpoint (N, m, kg, Ns/m). The encoder sits on the slider; motor,
-probe and velocity coil sit on the rotor: not colocated (Weir 2008, section 2.1). Without `Coupling`
-the two are one mass, and all of it acts on that.
+Everything is reflected to the endpoint (N, m, kg, Ns/m). The encoder is on the slider; motor, probe
+and velocity coil are on the rotor: not colocated (Weir 2008, section 2.1). Without `Coupling` the
+two are one mass, and all forces act on it.
 
 Electronics: transport, converter, smoothing, amplifier and damping circuit lie between the force
 command and the motor force. Each leaves its number in the blueprint; `compose` writes the equations
-of the loop that they make together. The winding says what a newton costs in amperes and watts, and
-how heat spoils the resistance compensation:
+of the loop. The winding determines current and power per newton, and how heat impairs the
+resistance compensation:
 
     R(T) = R_0 (1 + 0.00393 (T - T_0))     copper (the paper prints "percent"; 0.393 %/K is meant)
     T'   = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau
@@ -33,24 +32,24 @@ Shaped damping is a filter between the velocity estimate and the multiplier of t
 "Future work could address a frequency dependent active damping, since added mechanical dissipation
 is rarely needed at low frequency" (Weir, Colgate and Peshkin 2008, section 6; Brown 1995). In
 mechanical terms the high-pass puts a free mass b / w_l in series with the damper b, the low-pass a
-spring b w_h. A chain of passive elements is passive, so is the shaped damper alone:
+spring b w_h. A chain of passive elements is passive, so the shaped damper alone is passive:
 
     high-pass  Re Z = b w^2 / (w^2 + w_l^2)        low-pass  Re Z = b w_h^2 / (w^2 + w_h^2)
     both       Re Z = b w_h w^2 (w_l + w_h) / ((w_l w_h - w^2)^2 + w^2 (w_l + w_h)^2)
 
-w_l -> 0 and w_h -> infinity give the plain damper back, w_l -> infinity and w_h -> 0 take it away.
-A high-pass also keeps what a hot winding leaves in the estimate out of the static force: alpha is 1
-at DC.
+w_l -> 0 and w_h -> infinity give the plain damper, w_l -> infinity and w_h -> 0 remove it. A
+high-pass also keeps the estimate's error from a hot winding out of the static force: alpha is 1 at
+DC.
 
 Sensing: the servo's encoder, and the probe's 4 kHz record of torque and velocity. A record holds
 means over its 250 us, so that the sum of torque x velocity x 250 us is the exact work. The mean of
 a filtered channel needs no extra state: a first-order high-pass y = v - h, h' = w (v - h) has the
 integral h / w, and a second-order low-pass y'' + 2 zeta w y' + w^2 y = w^2 u has the integral of u
-minus (y' + 2 zeta w y) / w^2. These integrals are `travel` (of velocity) and `impulse` (what the
-filter keeps back of the torque).
+minus (y' + 2 zeta w y) / w^2. These integrals are `travel` (of velocity) and `impulse` (the part of
+the torque that the filter retains).
 
-An effect must be written after those whose signals it takes up. No low-pass of the shaped damping
-may stand beside the circuit's own bandwidth w_d. Two lags in series turn damping into its opposite
+An effect must be written after those whose signals it uses. A low-pass of the shaped damping must
+not be combined with the circuit's own bandwidth w_d. Two lags in series reverse the sign of damping
 above sqrt(w_h w_d), and there the shaped damper is active; a high-pass and one lag never do that.
 """
 
@@ -98,30 +97,30 @@ ZETA = sqrt(0.5)  # damping ratio of a Butterworth low-pass of the second order
 
 
 def number(default: Any = MISSING, **limits: float) -> Any:
-    """A parameter with its sensible range: gt, ge, lt, le, enforced where files are read."""
+    """Declare a parameter with its range: gt, ge, lt, le, enforced where files are read."""
     return field(default=default, metadata=limits)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """The base of every effect: why it exists, where its numbers come from, what it adds."""
+    """Base of every effect: its purpose, the sources of its numbers, its equations."""
 
     key: ClassVar[str]  # table name in a device file: [model.KEY]
     why: ClassVar[str]  # one sentence for `hapticd sim explain`
-    nonlinearity: ClassVar[str] = ""  # what is not linear about it; empty for a linear effect
+    nonlinearity: ClassVar[str] = ""  # its nonlinearity; empty for a linear effect
 
     # paper | inferred | calibrated, for every parameter not named in `sources`
     source: str = "inferred"
     sources: tuple[tuple[str, str], ...] = ()  # (parameter, tag) where the tag differs
-    note: str = ""  # more about the source, in words
+    note: str = ""  # remark on the source
 
     def build(self, plan: Blueprint) -> None:
         """Write states, forces, signals or nonlinearities into `plan`."""
         raise NotImplementedError
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its own time constants, here of the corners and bandwidths that it has; those of the
-        device as a whole are eigenvalues of the model.
+        """Time constants of the effect alone, from its corners and bandwidths. Those of the whole
+        device are eigenvalues of the model.
         """
         values = {one.name: one.value for one in self.parameters()}
         corners = [value for name, value in values.items() if name.endswith("_hz") and value]
@@ -137,14 +136,14 @@ class Effect:
         )
 
     def note_of(self, states: tuple[str, ...]) -> Note:
-        """The effect in words, with the names of the states that it added."""
+        """Describe the effect, with the names of the states that it added."""
         why = f"{self.why}; {self.note}" if self.note else self.why
         return Note(
             self.key, why, states, self.nonlinearity, self.time_constants_s(), self.parameters()
         )
 
 
-# --- what moves, and what is attached to it -------------------------------------------------------
+# --- bodies and attachments -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,8 +152,8 @@ class Masses(Effect):
 
     key: ClassVar[str] = "masses"
     why: ClassVar[str] = "what is moved"
-    rotor_kg: float = number(gt=0, le=100)  # what moves with the motor, reflected to the endpoint
-    slider_kg: float = number(0.0, ge=0, le=100)  # what slides with the encoder
+    rotor_kg: float = number(gt=0, le=100)  # moving with the motor, reflected to the endpoint
+    slider_kg: float = number(0.0, ge=0, le=100)  # sliding with the encoder
 
     def build(self, plan: Blueprint) -> None:
         """One rigid body; `Coupling` splits it."""
@@ -279,7 +278,7 @@ class MagnetCogging(Effect):
     phase_rad: float = number(0.0, ge=-7, le=7)  # at position 0
 
     def build(self, plan: Blueprint) -> None:
-        """Add a force input that both backends compute by the law `sine`."""
+        """Add a force input that both backends compute with the law `sine`."""
         plan.rotor_force("sine", self.amplitude_n, self.pitch_m, self.phase_rad)
 
 
@@ -294,7 +293,7 @@ class WorkspaceEnds(Effect):
     upper_m: float = number(ge=-10, le=10)  # highest position of the endpoint
 
     def build(self, plan: Blueprint) -> None:
-        """State where travel ends; both backends hold the endpoint inside."""
+        """Set the ends of travel; both backends keep the endpoint inside."""
         plan.ends_m = (self.lower_m, self.upper_m)
 
 
@@ -314,7 +313,7 @@ class Coulomb(Effect):
     slider_n: float = number(0.0, ge=0, le=100)  # level Fc at the slider
 
     def build(self, plan: Blueprint) -> None:
-        """Add the level to each body; a body with some of it becomes a contact."""
+        """Add the level to each body; a body with friction becomes a contact."""
         plan.rotor.coulomb_n += self.rotor_n
         plan.endpoint.coulomb_n += self.slider_n
 
@@ -324,14 +323,14 @@ class Coulomb(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delay(Effect):
-    """The time from an encoder sample to the force that it leads to."""
+    """The time from an encoder sample to the force computed from it."""
 
     key: ClassVar[str] = "delay"
     why: ClassVar[str] = "computing and transport take time"
     periods: float = number(ge=0, le=10)  # of the servo; may be fractional and more than 1
 
     def build(self, plan: Blueprint) -> None:
-        """State by how much the command comes later."""
+        """Set the delay of the command."""
         plan.delay_periods = self.periods
 
 
@@ -345,7 +344,7 @@ class ForceDac(Effect):
     quantum_n: float = number(gt=0)  # endpoint force of one count
 
     def build(self, plan: Blueprint) -> None:
-        """State the force of one count."""
+        """Set the force of one count."""
         plan.numbers["force_quantum_n"] = self.quantum_n
 
 
@@ -359,7 +358,7 @@ class Saturation(Effect):
     limit_n: float = number(gt=0)  # largest magnitude of the command
 
     def build(self, plan: Blueprint) -> None:
-        """State the limit."""
+        """Set the limit."""
         plan.numbers["force_limit_n"] = self.limit_n
 
 
@@ -404,13 +403,13 @@ class AmplifierLimits(Effect):
     )
     nonlinearity: ClassVar[str] = "motor force held inside what current and voltage reach"
     max_current_a: float = number(gt=0, le=1e4)  # of the amplifier, through the winding
-    max_voltage_v: float = number(gt=0, le=1e4)  # at its output: the supply less its own drop
-    # amplifier, cable, contacts and shunt: what is in series with the winding
+    max_voltage_v: float = number(gt=0, le=1e4)  # at its output: the supply minus its own drop
+    # in series with the winding: amplifier, cable, contacts and shunt
     series_ohm: float = number(0.0, ge=0, le=1e4)
     inductance_h: float = number(gt=0, le=10)  # of winding and cable
 
     def build(self, plan: Blueprint) -> None:
-        """State the limits; `compose` applies them where it closes the loop."""
+        """Set the limits; `compose` applies them where it closes the loop."""
         plan.amplifier_range = AmplifierRange(
             self.max_current_a, self.max_voltage_v, self.series_ohm, self.inductance_h
         )
@@ -426,7 +425,7 @@ class DampingDac(Effect):
     quantum_ns_per_m: float = number(gt=0)  # damping of one count
 
     def build(self, plan: Blueprint) -> None:
-        """State the damping of one count."""
+        """Set the damping of one count."""
         plan.numbers["active_damping_quantum_ns_per_m"] = self.quantum_ns_per_m
 
 
@@ -458,7 +457,7 @@ class Multiplier(Effect):
     noise_psd: float = number(0.0, ge=0, le=1)
 
     def build(self, plan: Blueprint) -> None:
-        """Change the damping level that arrives and the velocity that it is multiplied by."""
+        """Change the effective damping level and the velocity that it multiplies."""
         plan.level_gain += self.gain_error
         plan.level_offset_ns_per_m += self.scale_offset_ns_per_m
         plan.estimate_offset_m_per_s += self.velocity_offset_m_per_s
@@ -476,14 +475,14 @@ class Crowbar(Effect):
     why: ClassVar[str] = "a shorted winding damps by itself, and gives no torque"
 
     def build(self, plan: Blueprint) -> None:
-        """Take the motor off the command; `compose` writes the damping instead."""
+        """Disconnect the motor from the command; `compose` writes the damping instead."""
         plan.crowbar = True
 
 
 class SampleTiming(NamedTuple):
     """How a simulated board realises a delay.
 
-    The OUT of the next tick acts (1 - sample_phase + lag_periods) periods after the sample.
+    The OUT of the next tick takes effect (1 - sample_phase + lag_periods) periods after the sample.
     """
 
     sample_phase: float  # 0..1 of a period: when the board latches a sample after an OUT
@@ -491,7 +490,7 @@ class SampleTiming(NamedTuple):
 
 
 def sample_timing(delay_periods: float) -> SampleTiming:
-    """The timing of a board whose delay from sample to force is `delay_periods`."""
+    """Return the timing of a board whose delay from sample to force is `delay_periods`."""
     whole = floor(delay_periods)
     return SampleTiming(1.0 - (delay_periods - whole), whole)
 
@@ -511,12 +510,12 @@ class ShapedDamping(Effect):
     lowpass_hz: float = number(0.0, ge=0, le=1e6)  # w_h / 2 pi; 0 for none
 
     def build(self, plan: Blueprint) -> None:
-        """State the corners; `shaped` writes the filter where `compose` closes the loop."""
+        """Set the corners; `shaped` writes the filter where `compose` closes the loop."""
         plan.shaping_rad_s = tau * self.highpass_hz, tau * self.lowpass_hz
 
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
-    """The velocity estimate as the multiplier gets it: one state for each corner."""
+    """Return the velocity estimate at the input of the multiplier: one state for each corner."""
     above, below = plan.shaping_rad_s
     if above:
         slow = plan.state("slow_estimate", "m/s", ShapedDamping.key)
@@ -533,7 +532,9 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
 
 
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
-    """Resistance [ohm] at `temperature_c` of copper that has `resistance_ohm` at `reference_c`."""
+    """Return the resistance [ohm] of copper at `temperature_c`; `resistance_ohm` at
+    `reference_c`.
+    """
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
 
 
@@ -550,7 +551,7 @@ class Motor(Effect):
     reference_c: float = number(20.0, ge=-40, le=150)
 
     def build(self, plan: Blueprint) -> None:
-        """State the winding at its reference temperature, fully compensated."""
+        """Set the winding at its reference temperature, fully compensated."""
         plan.torque_constant_n_per_a = self.torque_constant_nm_per_a / self.lever_m
         plan.resistance_ohm = self.resistance_ohm
         plan.copper = Copper(
@@ -560,7 +561,7 @@ class Motor(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindingTemperature(Effect):
-    """The winding is not as warm as the resistance compensation believes."""
+    """The winding's temperature differs from that of the resistance compensation."""
 
     key: ClassVar[str] = "winding"
     why: ClassVar[str] = (
@@ -568,11 +569,11 @@ class WindingTemperature(Effect):
         " alpha"
     )
     temperature_c: float = number(ge=-40, le=250)  # of the copper
-    # temperature that the resistance compensation was set for
+    # temperature for which the resistance compensation was set
     compensated_c: float = number(ge=-40, le=250)
 
     def build(self, plan: Blueprint) -> None:
-        """State the residual resistance. `Motor` comes before it in the order of composition."""
+        """Set the residual resistance. `Motor` precedes it in the order of composition."""
         cold = plan.copper
         compensated_ohm = copper_ohm(cold.resistance_ohm, cold.reference_c, self.compensated_c)
         plan.resistance_ohm = copper_ohm(cold.resistance_ohm, cold.reference_c, self.temperature_c)
@@ -596,8 +597,8 @@ class WindingHeating(Effect):
     ambient_c: float = number(ge=-40, le=100)  # of the surroundings
 
     def build(self, plan: Blueprint) -> None:
-        """Ask for a slow state of its own, outside the linear model. `Motor` and
-        `WindingTemperature` come before it.
+        """Add a slow state of its own, outside the linear model. `Motor` and `WindingTemperature`
+        precede it.
         """
         plan.heating = HeatingParams(
             **plan.copper._asdict(),
@@ -607,13 +608,13 @@ class WindingHeating(Effect):
         )
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """That of the winding against its surroundings."""
+        """That of the winding to its surroundings."""
         return (self.time_constant_s,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InductanceError(Effect):
-    """L di/dt is not cancelled completely (error_h > 0) or too much (< 0)."""
+    """L di/dt is cancelled incompletely (error_h > 0) or too much (< 0)."""
 
     key: ClassVar[str] = "inductance"
     why: ClassVar[str] = "what is left of L di/dt looks like velocity"
@@ -624,7 +625,7 @@ class InductanceError(Effect):
         plan.inductance_error_h = self.error_h
 
 
-# --- what is measured -----------------------------------------------------------------------------
+# --- measurement ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -637,7 +638,7 @@ class Encoder(Effect):
     quantum_m: float = number(gt=0)  # travel of one count
 
     def build(self, plan: Blueprint) -> None:
-        """State the travel of one count."""
+        """Set the travel of one count."""
         plan.numbers["encoder_quantum_m"] = self.quantum_m
 
 
@@ -652,7 +653,7 @@ class ProbeAdc(Effect):
     torque_quantum_n: float = number(gt=0)  # endpoint force of one count
 
     def build(self, plan: Blueprint) -> None:
-        """State the velocity and the force of one count."""
+        """Set the velocity and the force of one count."""
         plan.numbers["velocity_quantum_m_per_s"] = self.velocity_quantum_m_per_s
         plan.numbers["torque_quantum_n"] = self.torque_quantum_n
 
@@ -698,7 +699,7 @@ class AntiAlias(Effect):
         return (2.0 * ZETA / (tau * self.corner_hz),)
 
     def _filtered(self, plan: Blueprint, name: str, unit: str, signal: Form) -> tuple[Form, Form]:
-        """The low-passed signal, and how much of its integral the filter keeps back."""
+        """Return the low-passed signal, and the part of its integral that the filter retains."""
         w = tau * self.corner_hz
         low = plan.state(name, unit, self.key)
         slope = plan.state(f"{name}_slope", f"{unit}/s", self.key)
@@ -717,7 +718,7 @@ class SensorNoise(Effect):
     velocity_m_per_s: float = number(ge=0, le=10)  # rms, added to each 4 kHz value of the record
 
     def build(self, plan: Blueprint) -> None:
-        """State the rms."""
+        """Set the rms."""
         plan.velocity_noise_m_per_s = self.velocity_m_per_s
 
 
@@ -730,11 +731,11 @@ KINDS: tuple[type[Effect], ...] = tuple(
     for kind in list(globals().values())
     if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
 )
-ALWAYS = (Masses.key, Motor.key)  # built without being named
+ALWAYS = (Masses.key, Motor.key)  # always built
 BY_KEY = {kind.key: kind for kind in KINDS}
 
 
 def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """`effects` in the order in which they are composed."""
+    """Return `effects` in the order of composition."""
     keys = list(BY_KEY)
     return tuple(sorted(effects, key=lambda effect: keys.index(effect.key)))

@@ -1,16 +1,16 @@
 """Perturbation records at 4 kHz, one value held for each 250 us, from a counter-based generator.
 
-Noise is band-limited Gaussian: white at the stated one-sided density S [N^2/Hz] up to the band,
-then a raised cosine down to nothing at the end of the taper, made in the frequency domain over the
-whole record. Stream i of a seed is Philox with the key (seed, i): the same numbers whoever draws
-them, in whatever order, so results cannot depend on chunks or threads.
+Noise is band-limited Gaussian: white at the given one-sided density S [N^2/Hz] up to the band, then
+a raised cosine down to 0 at the end of the taper, made in the frequency domain over the whole
+record. Stream i of a seed is Philox with the key (seed, i). It gives the same numbers in any order
+of drawing, so results cannot depend on chunks or threads.
 
 rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
 
-A mark is a maximum-length sequence of 1023 signs, a sample each (Golomb, "Shift Register
-Sequences", 1967): by it a record of another system is found to belong to a trial, and where it
-begins (`signal.alignment`). It is as strong as the rms of the perturbation in whose place it
-stands, so it is inside of every limit that the perturbation is inside of.
+A mark is a maximum-length sequence of 1023 signs, one sample each (Golomb, "Shift Register
+Sequences", 1967). It identifies a trial in a record of another system and shows where it begins
+(`signal.alignment`). Its amplitude is the rms of the perturbation that it replaces, so it satisfies
+every limit of the perturbation.
 
 A stream must not be drawn in pieces: a record is made whole, then cut.
 """
@@ -59,9 +59,10 @@ def generator(seed: int, stream: int) -> np.random.Generator:
 def torque_record(
     excitation: Excitation, samples: int, seed: int, stream: int = Stream.SHARED
 ) -> Floats:
-    """Force [N] at the endpoint, (samples,), or one period of it, which is then repeated.
+    """Return the force [N] at the endpoint, (samples,), or one period of it, which is then
+    repeated.
 
-    ConfigError for an unknown kind, a band beyond 2 kHz, or noise too long to be kept in memory.
+    ConfigError for an unknown kind, a band beyond 2 kHz, or noise too long for memory.
     """
     if excitation.kind == "none":
         return np.zeros(samples)
@@ -92,9 +93,8 @@ def torque_record(
 def band_noise(
     samples: int, psd_n2_per_hz: float, band_hz: float, random: np.random.Generator
 ) -> Floats:
-    """Gaussian noise [N] (samples,), of one-sided density `psd_n2_per_hz` up to `band_hz`.
-
-    Its mean is 0: the line at 0 Hz is left out.
+    """Return Gaussian noise [N] (samples,), of one-sided density `psd_n2_per_hz` up to `band_hz`.
+    Its mean is 0.
     """
     frequency_hz = np.fft.rfftfreq(samples, 1.0 / PROBE_RATE_HZ)
     end_hz = min(TAPER * band_hz, 0.5 * PROBE_RATE_HZ)
@@ -108,9 +108,8 @@ def band_noise(
 
 
 def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
-    """One period [N]: every harmonic up to the band, of equal amplitude and random phase.
-
-    Its rms is `force_n`. ConfigError if the period holds no harmonic.
+    """Return one period [N]: every harmonic up to the band, of equal amplitude and random phase.
+    Its rms is `force_n`. ConfigError if the period has no harmonic.
     """
     samples = round(excitation.period_s * PROBE_RATE_HZ)
     highest = int(excitation.band_hz * excitation.period_s)
@@ -125,7 +124,7 @@ def multisine(excitation: Excitation, random: np.random.Generator) -> Floats:
 
 
 def mark_signs() -> Floats:
-    """The mark, (1023,) of +1 and -1: one period of a maximum-length sequence."""
+    """Return the mark, (1023,) of +1 and -1: one period of a maximum-length sequence."""
     bits = [1] * MARK_ORDER
     while len(bits) < (1 << MARK_ORDER) - 1:
         bits.append(bits[-MARK_TAPS[0]] ^ bits[-MARK_TAPS[1]])
@@ -133,8 +132,8 @@ def mark_signs() -> Floats:
 
 
 def marked(force_n: Floats) -> Floats:
-    """`force_n` (n,) with a mark of its rms in place of samples `MARK_LEAD` and after. ConfigError
-    if it is too short.
+    """Return `force_n` (n,) with a mark of its rms in place of the samples from `MARK_LEAD` on.
+    ConfigError if it is too short.
     """
     signs = mark_signs()
     end = MARK_LEAD + signs.size
@@ -147,5 +146,7 @@ def marked(force_n: Floats) -> Floats:
 
 
 def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:
-    """White noise (samples,) of one-sided density `psd` per Hz, a value held for each 250 us."""
+    """Return white noise (samples,) of one-sided density `psd` per Hz, each value held for 250
+    us.
+    """
     return sqrt(0.5 * psd * PROBE_RATE_HZ) * generator(seed, stream).standard_normal(samples)

@@ -1,17 +1,16 @@
-"""All that is known of one environment before any trial: eigenvalues, theorem, prediction, hands.
+"""Everything known about one environment before a trial: eigenvalues, theorem, prediction, hands.
 
-    radius       of the exact tick, friction left out: at 1 and above the display moves by itself
-    theorem      damping to spare at every image, for every input, friction left out (`theorem`)
-    prediction   least Re Z at a stated perturbation, Coulomb friction linearised there (`predict`)
-    hand         without friction, a passive hand in which the loop grows (`coupled`), tried by its
-                 tick
+    radius       of the exact tick without friction: at 1 and above the display moves by itself
+    theorem      damping margin at every image, for every input, without friction (`theorem`)
+    prediction   minimum Re Z at a given perturbation, Coulomb friction linearised there (`predict`)
+    hand         without friction, a passive hand in which the loop grows (`coupled`), checked by
+                 its tick
 
-The theorem is about all inputs and large motions, the prediction about what a trial of that
-amplitude shows: between them they differ where friction carries a display, or images do not show in
-noise.
+The theorem covers all inputs and large motions; the prediction covers a trial of that amplitude.
+They differ where friction stabilises a display, or where noise does not show images.
 
-Limitations: K < 0. It is active below every band that is looked at, so Re Z >= 0 says nothing, and
-the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the numbers are.
+Limitations: K < 0. It is active below every judged band, so Re Z >= 0 proves nothing, and the loop
+may be unstable with Re Z > 0 over the whole band. It is refused whatever the numbers.
 """
 
 from dataclasses import dataclass
@@ -32,31 +31,31 @@ __all__ = ["Forecast", "forecast"]
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """What is known of one environment before any trial."""
+    """Everything known about one environment before a trial."""
 
     period_s: float  # of a tick
-    radius: float  # spectral radius of a tick, friction left out
-    theorem_margin: float  # damping to spare, N s/m
-    theorem_passive: bool  # with stability, which the theorem presumes
+    radius: float  # spectral radius of a tick without friction
+    theorem_margin: float  # damping margin, N s/m
+    theorem_passive: bool  # includes stability, which the theorem assumes
     withstands: bool  # whether no passive hand makes it oscillate
-    # None where it withstands, is unstable by itself, or no hand could be built
+    # None if it withstands, is unstable by itself, or no hand was found
     shaker: DestabilisingHand | None
-    true: Prediction  # of Z itself, K < 0 let through
-    recorded: Prediction  # of what the probe's channels show of Z, K < 0 let through
+    true: Prediction  # of Z itself, K < 0 allowed
+    recorded: Prediction  # of Z as the probe's channels record it, K < 0 allowed
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable without friction and without a hand."""
+        """Whether the sampled loop is stable without friction and hand."""
         return self.radius < 1.0
 
     @property
     def refused(self) -> bool:
-        """Whether it is refused whatever the numbers are: K < 0."""
+        """Whether it is refused whatever the numbers: K < 0."""
         return bool(self.true.points[0, 0] < 0.0)
 
     @property
     def passive(self) -> bool:
-        """Whether it is predicted passive at the stated perturbation."""
+        """Whether it is predicted passive at the given perturbation."""
         return bool(self.true.passive[0]) and not self.refused
 
 
@@ -68,8 +67,8 @@ def forecast(
     perturbation: Perturbation,
     band_hz: tuple[float, float],
 ) -> Forecast:
-    """Judge `point` (K [N/m], B [N s/m], M [kg]) on `model` before any trial. AnalysisError
-    unless these are finite.
+    """Judge `point` (K [N/m], B [N s/m], M [kg]) on `model` before any trial. AnalysisError unless
+    these are finite.
     """
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
     lifted = lifted_system(model, active_damping_ns_per_m, filters)

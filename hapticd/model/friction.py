@@ -4,26 +4,26 @@
 
 Over a sub-step the friction force is held and the velocity at its end is linear in it: v = v_free +
 W f with W > 0. The one f in the box [-Fc, Fc] with v = 0, or at the edge of the box with v still
-against it, is f = clamp(-v_free / W): implicit in time, no regularisation, no chatter; a stuck body
-has v = 0 exactly, for ever. Two bodies give the same problem in two unknowns with a P-matrix W (its
-off-diagonal is the coupling), which has one solution; `stick_two` finds it directly.
+against it, is f = clamp(-v_free / W). This is implicit in time, without regularisation or chatter;
+a stuck body has v = 0 exactly. Two bodies give the same problem in two unknowns with a P-matrix W
+(its off-diagonal is the coupling), which has one solution; `stick_two` computes it directly.
 
-v = 0 at both ends of a sub-step says nothing of the way between them: where a spring or a filter
-changes the force on the body, a held f leaves it some nanometres of way (dF h^2 / 12 m), and
-elsewhere rounding. A body that stood and sticks stays, so whoever plays a sub-step puts its
-position back, and nothing else: what the others saw of that way is of the fifth order in h.
+v = 0 at both ends of a sub-step does not mean zero displacement. If a spring or a filter changes
+the force on the body, a held f leaves it a few nanometres of travel (dF h^2 / 12 m), otherwise
+rounding. A body that stood and sticks stays, so the integrator of a sub-step restores its position
+alone. The effect of that travel on the other states is of the fifth order in h.
 
 The error is that of holding f over the sub-step in which the sign changes: first order in the
 sub-step's length.
 
-Limitations: W of a velocity over a time long against the fastest mode (then W may lose its positive
-diagonal), or a viscous stand-in tanh(v / eps), which creeps. Functions take and return floats; the
-batch engine compiles the same.
+Limitations: W of a velocity over a time long compared with the fastest mode (W may then lose its
+positive diagonal). A viscous substitute tanh(v / eps) would creep. Functions take and return
+floats; the batch engine compiles the same code.
 """
 
 
 def stick_one(v_free: float, response: float, level: float) -> float:
-    """Friction force [N] of one contact.
+    """Return the friction force [N] of one contact.
 
     v_free [m/s] is the velocity without friction, `response` W [m/s/N] > 0, `level` Fc [N].
     """
@@ -45,7 +45,7 @@ def stick_two(
     level1: float,
     level2: float,
 ) -> tuple[float, float]:
-    """Friction forces (f1, f2) [N] of two contacts.
+    """Return the friction forces (f1, f2) [N] of two contacts.
 
     (v1, v2) [m/s] are the velocities without friction, ((w11, w12), (w21, w22)) [m/s/N] the
     responses W, `level1` and `level2` Fc [N].

@@ -1,21 +1,21 @@
-"""Coulomb friction as the damper that takes the same power from a random motion: statistical
+"""Coulomb friction as the damper that dissipates the same power in a random motion: statistical
 linearisation.
 
 For a Gaussian velocity of standard deviation s the force -Fc sign(v) has the gain sqrt(2/pi) Fc / s
-(Booton 1953); what is left of it, (1 - 2/pi) Fc^2, is noise. The device decides s itself: with a
+(Booton 1953); the remainder, (1 - 2/pi) Fc^2, is noise. s depends on the device: with a
 perturbation of one-sided density S
 
     b s(b) = sqrt(2/pi) Fc,     s(b)^2 = integral of S |Y / (1 + b Y)|^2 df
 
-so friction counts for more the less the device moves, and a limit is a limit at a stated
-perturbation. Only Fc^2 / S enters. Where two bodies rub, each in turn is given the damper that
-fits, until both do.
+so friction counts for more the less the device moves, and a limit holds at a given perturbation.
+Only Fc^2 / S matters. If two bodies have friction, each in turn gets its damper, until both are
+consistent.
 
-A loop that is active without friction has a second solution: moving so fast that friction no longer
-holds it, it runs away. The calm one counts only where bursts of up to three times its motion would
-die out; a 90 s trial brings such bursts.
+A loop that is active without friction has a second solution: it moves so fast that friction no
+longer holds it, and runs away. The calm solution counts only if bursts of up to three times its
+motion would die out; a 90 s trial contains such bursts.
 
-Limitations: a perturbation that hardly gets the device moving, when the velocity is far from
+Limitations: a perturbation that hardly moves the device, because the velocity is then far from
 Gaussian.
 """
 
@@ -30,7 +30,7 @@ __all__ = ["BURSTS", "GAIN", "Linearised", "Perturbation", "linearise", "recorde
 
 GAIN = float(np.sqrt(2.0 / np.pi))
 BURSTS = (1.2, 1.5, 2.0, 2.5, 3.0)
-# N s/m; a body that sticks stays at the most, one that runs away ends at the least
+# N s/m; a body that sticks stays at the maximum, one that runs away ends at the minimum
 _LEAST = 1e-4
 _MOST = 1e4
 _ROUNDS_OF_ONE = 40  # each halves the error of a free mass
@@ -41,8 +41,8 @@ _ROUNDS = 8  # between two bodies
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; by default the one at
-    the calibrated device.
+    """White force of one-sided density `psd_n2_per_hz` up to `band_hz`; the default is that of the
+    calibrated device.
     """
 
     psd_n2_per_hz: float = 2.5e-5
@@ -54,7 +54,7 @@ class Linearised:
     """Impedance with friction linearised in N environments."""
 
     impedance: Complexes  # (N, F) complex128 at the port, N s/m
-    friction: Floats  # (ports, N) dampers that stand for friction, N s/m
+    friction: Floats  # (ports, N) equivalent dampers of friction, N s/m
     velocity_sd: Floats  # (N,) of the port, m/s; nan without perturbation
     calm: Flags  # (N,) whether a burst of motion dies out
 
@@ -62,12 +62,12 @@ class Linearised:
 def linearise(
     loop: Loop, points: Floats, coulomb_n: Floats, start: Floats, perturbation: Perturbation | None
 ) -> Linearised:
-    """Impedance of `loop` under the environments `points` (N, 3) with friction `coulomb_n` (ports,)
-    at that perturbation.
+    """Return the impedance of `loop` under the environments `points` (N, 3) with friction
+    `coulomb_n` (ports,) at that perturbation.
 
-    `start` (ports,): dampers that the loop's model already has on its bodies; they are taken off
-    where friction is less. Without a perturbation friction is left out, and the standard deviation
-    of the velocity is unknown (nan).
+    `start` (ports,): dampers that the loop's model already has on its bodies; they are removed
+    where friction is less. Without a perturbation friction is omitted, and the standard deviation
+    of the velocity is nan.
     """
     y = port_admittance(loop, points)
     weight = (
@@ -89,7 +89,7 @@ def linearise(
     seen = add_port_dampers(y, level - start[:, None])[0, 0]
     power = (seen.real**2 + seen.imag**2) @ weight
     sd = np.sqrt(power) if perturbation is not None else np.full(len(points), np.nan)
-    # a burst dies out where friction so much weaker leaves less motion than would weaken it so
+    # a burst dies out if friction weakened by it leaves less motion than the burst
     calm = np.ones(len(points), np.bool_)
     for port in rubbing:
         moving = CoupledFrictionPorts(loop.frequency_hz, _alone(y, level, start, port), weight)
@@ -99,8 +99,8 @@ def linearise(
 
 
 def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Complexes:
-    """`impedance` (N, F) of `linearise` as the board's record shows it: exact as in `loop` where
-    no damper was changed.
+    """Return `impedance` (N, F) of `linearise` as the board records it: exact as in `loop` if no
+    damper changed.
     """
     kbm = np.column_stack((np.ones(len(points)), points))
     return np.asarray(impedance * product(kbm, loop.admittance[0, 0]) / product(kbm, loop.recorded))
@@ -109,8 +109,8 @@ def recorded_impedance(loop: Loop, points: Floats, impedance: Complexes) -> Comp
 def impedance_each(
     loop: Loop, line: Integers, points: Floats, dampers: Floats, recorded: bool
 ) -> Complexes:
-    """Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with
-    `dampers` (ports, N) hung on its ports; `recorded` as in `recorded_impedance`.
+    """Return Z (N,) of environments `points` (N, 3), each at its own `line` (N,) of `loop`, with
+    `dampers` (ports, N) added to its ports; `recorded` as in `recorded_impedance`.
     """
     kbm = np.column_stack((np.ones(len(points)), points)).T
     common = (kbm * loop.common[:, line]).sum(axis=0)
@@ -120,7 +120,7 @@ def impedance_each(
 
 
 def port_admittance(loop: Loop, points: Floats) -> Complexes:
-    """Admittance Y_ab (ports, ports, N, F) of the closed loop, with nothing hung on the ports."""
+    """Return the admittance Y_ab (ports, ports, N, F) of the closed loop, with free ports."""
     kbm = np.column_stack((np.ones(len(points)), points))
     common = 1.0 / product(kbm, loop.common)
     return np.stack(
@@ -146,12 +146,12 @@ def add_port_dampers(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes
 
 @dataclass(frozen=True, eq=False)
 class SingleFrictionPort:
-    """A port i to which a damper is added while the others stay as they are."""
+    """A port i to which a damper is added; the other dampers do not change."""
 
     drive: Floats  # (N, F) |Y_i0|^2, from the probe's force
     real: Floats  # (N, F) of Y_ii, m/(N s)
     imag: Floats  # (N, F) of Y_ii, m/(N s)
-    start: float  # damper that is on it already, N s/m
+    start: float  # its present damper, N s/m
 
     def sd(self, damper: Floats, weight: Floats) -> Floats:
         """Standard deviation (N,) [m/s] of the port's velocity with a damper (N,) [N s/m] on it."""
@@ -161,12 +161,13 @@ class SingleFrictionPort:
 
 
 class CoupledFrictionPorts:
-    """The same port moving more, with less friction: its resonance may be narrower than the grid.
+    """The same port with more motion and less friction, whose resonance may be narrower than the
+    grid.
 
-    A sum over lines would then see the peak or step over it, and the edge of a set would be jagged.
-    Between two lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta /
-    (|a| |a'| sin theta) of the distance, theta the angle between them: p(q) / q with q = cos(theta
-    / 2), p to 0.4 %.
+    A sum over lines would hit or miss the peak, and the edge of a set would be jagged. Between two
+    lines Z + b runs straight from a to a', and the integral of 1/|Z + b|^2 is theta / (|a| |a'| sin
+    theta) of the distance, theta the angle between them: p(q) / q with q = cos(theta / 2), p to 0.4
+    %.
     """
 
     def __init__(self, frequency_hz: Floats, alone: SingleFrictionPort, weight: Floats) -> None:
@@ -193,8 +194,8 @@ class CoupledFrictionPorts:
 
 
 def _straight(q: Floats) -> Floats:
-    """Return arccos(q) / sqrt(1 - q^2) for q in 0..1 to 0.4 %, by values and slopes at both
-    ends.
+    """Return arccos(q) / sqrt(1 - q^2) for q in 0..1 to 0.4 %, from both ends' values and
+    slopes.
     """
     return 0.5 * np.pi + q * (-1.0 + q * (_BEND + q * (2.0 - 0.5 * np.pi - _BEND)))
 
@@ -202,10 +203,10 @@ def _straight(q: Floats) -> Floats:
 def fitting_damper(alone: SingleFrictionPort, gain_n: float, weight: Floats) -> Floats:
     """Find b (N,) with b s(b) = `gain_n`.
 
-    The iteration b <- g / s(b) starts at rest and goes downwards only: the damper of a body that
-    hardly moves is too strong, gives way, and stays at the strongest one that fits. That is the
-    calm solution, where a loop that is active without friction has several. If there is none, b
-    falls past the value at which the loop begins to oscillate, and Re Z < 0 there says so.
+    The iteration b <- g / s(b) starts at rest and only falls, so it ends at the strongest damper
+    that fits. That is the calm solution, if a loop that is active without friction has several. If
+    there is none, b falls below the value at which the loop begins to oscillate, and Re Z < 0 there
+    shows it.
     """
     b = np.full(len(alone.drive), _MOST)
     # never upwards: the upper bound is the damper of the last round
@@ -225,6 +226,6 @@ def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> SingleFrict
 
 
 def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:
-    """Weights (F,) of an integral of S |Y|^2 over the perturbation's band, by trapezoids."""
+    """Return weights (F,) of the integral of S |Y|^2 over the perturbation's band (trapezoids)."""
     inside = frequency_hz <= perturbation.band_hz
     return np.asarray(np.where(inside, perturbation.psd_n2_per_hz * np.gradient(frequency_hz), 0.0))

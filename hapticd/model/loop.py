@@ -1,13 +1,13 @@
-"""The sampled loop as seen from the probe: its first harmonic, exactly, and whether it is stable.
+"""The sampled loop as seen from the probe: its first harmonic, exactly, and its stability.
 
-First harmonic (`close_loop`). The port is where torque and velocity of the rotor are. With the
-device's responses P(jw) from torque t and command F to the velocity v and to the encoder x, the
-hold H0 = (1 - e^(-jwT))/(jwT) e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF (exact,
-the fraction of a tick included) and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
+First harmonic (`close_loop`). The port is torque and velocity of the rotor. With the device's
+responses P(jw) from torque t and command F to the velocity v and to the encoder x, the hold H0 = (1
+- e^(-jwT))/(jwT) e^(-jwdT), the pulse transfer G(z) of hold, delay and P_xF (exact, including the
+fraction of a tick) and the law C = K + B H_v(z) + M H_a(z) at z = e^(jwT):
 
     Y = P_vt - P_vF H0 C P_xt / (1 + G C) = (P_vt + (G P_vt - P_vF H0 P_xt) C) / (1 + G C)
 
-Numerator and denominator are affine in (K, B, M), so a map of thousands of environments is two
+Numerator and denominator are affine in (K, B, M), so a map of thousands of environments takes two
 matrix products. White noise sees this first harmonic: images of the torque at f + k/T are
 uncorrelated with it, and the mass leaves less than 1e-4 of them. Bodies with friction get a port of
 their own, so that a damper can be added to them afterwards (`linearise`).
@@ -15,19 +15,19 @@ their own, so that a damper can be added to them afterwards (`linearise`).
 The board's record is another port. Its torque is held, and its velocity averaged, over intervals h
 = 1/4 kHz, so P_vt becomes the exact transfer at e^(j2 pi f h) from held torque to mean velocity,
 images of the hold included. They matter: a mass reads (2m/h) tan(pi f h), which 1/sinc(f h)^2 alone
-misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The way
-through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls off with the
-fourth power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
+misses by 0.17 % at 500 Hz and 3.2 % at 1 kHz, many times the error of a quiet trial. The path
+through the law (P_vF H0 P_xt) keeps its first harmonic, times sinc(f h)^2: it falls with the fourth
+power of the frequency, and its images are below 5e-5 of Z up to 500 Hz.
 
-Stability (`spectral_radius`). The exact map of one tick holds device, delay and filters together.
-Its state is the device's, the commands on their way, the two last positions and the filters'. It is
-affine in (K, B, M): the law is one row that is added through one column. Below a radius of 1
-everything dies out. With K = 0 nothing holds the device in place; translation of everything
-together is an eigenvector with eigenvalue 1 and is left out, once.
+Stability (`spectral_radius`). The exact map of one tick contains device, delay and filters. Its
+state is the device's, the pending commands, the last two positions and the filters'. It is affine
+in (K, B, M): the law is one row added through one column. Below a radius of 1 all motion decays.
+With K = 0 nothing holds the device in place. Translation of all bodies together is then an
+eigenvector with eigenvalue 1, which is excluded once.
 
-Limitations: a quantiser or a limit that binds, or for the harmonic a device that is not stable by
-itself. Growth over a 90 s record is no substitute for the radius: at K = 2,000 N/m one of 1.00002
-takes half a minute to show.
+Limitations: an active quantiser or limit, or for the harmonic a device that is unstable by itself.
+Growth over a 90 s record does not replace the radius: at K = 2,000 N/m a radius of 1.00002 takes
+half a minute to show.
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ __all__ = [
     "tick_of",
 ]
 
-# of velocity and acceleration; None leaves one out
+# of velocity and acceleration; None omits one
 Filters = tuple[FilterParams | None, FilterParams | None]
 
 PAPER_FILTERS: Filters = (FilterParams(100.0), FilterParams(72.0))  # Weir 2008, section 2
@@ -80,8 +80,8 @@ def close_loop(
     active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Loop:
-    """Close the loop around `model` at that level of active damping, with filters of velocity
-    and acceleration, at `frequency_hz` (F,) > 0.
+    """Close the loop around `model` at that level of active damping, with filters of velocity and
+    acceleration, at `frequency_hz` (F,) > 0.
     """
     f = np.asarray(frequency_hz, np.float64)
     turn = np.exp(2j * np.pi * f / model.rate_hz)
@@ -116,7 +116,7 @@ class Responses:
 
 
 def port_states(model: Model) -> list[int]:
-    """Velocity states of the ports: the rotor's, then those of other bodies with friction."""
+    """Return the velocity states of the ports: the rotor's, then other bodies with friction."""
     rotor = int(np.argmax(model.outputs.velocity.c0))
     return [rotor, *(contact.velocity for contact in model.contacts if contact.velocity != rotor)]
 
@@ -150,8 +150,8 @@ def responses(
 def recorded_channels(
     model: Model, frequency_hz: Floats, active_damping_ns_per_m: float = 0.0
 ) -> Complexes:
-    """Recorded torque and recorded mean velocity (2, F) of the device alone, per torque that is
-    held over each interval of 4 kHz; exact.
+    """Return recorded torque and recorded mean velocity (2, F) of the device alone, per torque held
+    over each interval of 4 kHz; exact.
     """
     step = discretise(model, 1.0 / PROBE_RATE_HZ, active_damping_ns_per_m)
     outputs = model.outputs
@@ -166,7 +166,7 @@ def recorded_channels(
 
 
 def held_force_model(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexes:
-    """Hold and delay of a command: the transform of one held sample over T (F,)."""
+    """Return hold and delay of a command: the transform of one held sample over T (F,)."""
     ratio = frequency_hz / rate_hz
     return np.asarray(np.sinc(ratio) * np.exp(-2j * np.pi * ratio * (0.5 + delay_periods)))
 
@@ -174,8 +174,8 @@ def held_force_model(frequency_hz: Floats, rate_hz: float, delay_periods: float)
 def derivatives(
     turn: Complexes, rate_hz: float, filters: Filters = PAPER_FILTERS
 ) -> tuple[Complexes, Complexes]:
-    """Velocity and acceleration as the law forms them from a position, at z = `turn` (F,); None
-    leaves a filter out.
+    """Return velocity and acceleration as the law computes them from a position, at z = `turn`
+    (F,); None omits a filter.
     """
     slope = (1.0 - 1.0 / turn) * rate_hz
     low = [_at(turn, biquad_of(one, rate_hz)) for one in filters]
@@ -183,7 +183,7 @@ def derivatives(
 
 
 def biquad_of(one: FilterParams | None, rate_hz: float) -> Biquad:
-    """Coefficients of a filter of the law; those of no filter for None."""
+    """Return the coefficients of a filter of the law; None gives those without a filter."""
     return (
         NO_FILTER
         if one is None
@@ -199,8 +199,8 @@ def _at(turn: Complexes, biquad: Biquad) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """The device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder y =
-    row x.
+    """Device from tick to tick: x' = a x + new u_(k-steps) + old u_(k-steps-1), encoder y = row
+    x.
     """
 
     a: Floats  # (n, n) states of the model, SI
@@ -211,7 +211,7 @@ class Sampled:
 
 
 def sampled(model: Model, active_damping_ns_per_m: float = 0.0) -> Sampled:
-    """The exact map over one tick; a command that arrives inside the tick is split there."""
+    """Return the exact map over one tick; a command that arrives inside the tick is split there."""
     whole = discretise(model, 1.0 / model.rate_hz, active_damping_ns_per_m)
     steps, fraction = delay_steps(model.delay_periods)
     old, new = late_command(model, whole, fraction)
@@ -221,7 +221,7 @@ def sampled(model: Model, active_damping_ns_per_m: float = 0.0) -> Sampled:
 def pulse_transfer(
     model: Model, turn: Complexes, active_damping_ns_per_m: float = 0.0
 ) -> Complexes:
-    """Pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
+    """Return the pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
     device = sampled(model, active_damping_ns_per_m)
     late = np.stack((device.new, device.old), axis=1)
     x = np.linalg.solve(
@@ -241,17 +241,17 @@ class Tick:
     base: Floats  # (n, n) without the law
     column: Floats  # (n,) through which the command enters
     rows: Floats  # (3, n) of position, velocity and acceleration
-    drifts: bool  # nothing in the device itself holds it in place
+    drifts: bool  # the device itself does not hold its position
 
 
 def tick_of(
     model: Model, active_damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
 ) -> Tick:
-    """One tick of `model` at that level of active damping, to be closed by any environment."""
+    """Return one tick of `model` at that level of active damping, for any environment."""
     device = sampled(model, active_damping_ns_per_m)
     n = len(device.a)
     waiting = device.steps + 1
-    # the device's n, commands on their way (newest first), two last positions, two filters of two
+    # the device's n, pending commands (newest first), last two positions, two filters of two
     size = n + waiting + 6
     unit = np.eye(size)
     base = np.zeros((size, size))
@@ -277,8 +277,8 @@ def tick_of(
 
 
 def radii(tick: Tick, points: Floats) -> Floats:
-    """Largest |eigenvalue| (N,) of `tick` under the environments `points` (N, 3), some 20 us
-    each.
+    """Return the largest |eigenvalue| (N,) of `tick` under the environments `points` (N, 3), about
+    20 us each.
     """
     kbm = np.atleast_2d(np.asarray(points, np.float64))
     matrices = tick.base - tick.column[:, None] * (kbm @ tick.rows)[:, None, :]
@@ -295,8 +295,8 @@ def spectral_radius(
     active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Floats:
-    """Largest |eigenvalue| (N,) of one tick of `model` under the environments `points` (N, 3):
-    K, B, M in SI.
+    """Return the largest |eigenvalue| (N,) of one tick of `model` under the environments `points`
+    (N, 3): K, B, M in SI.
     """
     return radii(tick_of(model, active_damping_ns_per_m, filters), points)
 

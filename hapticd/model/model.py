@@ -1,26 +1,25 @@
-"""A composed model: what is left of a scene's device once every effect has said what it adds.
-
-Frozen values, no behaviour.
+"""A composed model: the result of all effects of a scene's device. Frozen values, no behaviour.
 
     x' = A(b) x + B(b) u        A(b) = a0 + b a1,  B(b) = b0 + b b1,  b >= 0 damping level, Ns/m
     y  = C(b) x + D(b) u        for every Output
 
-`b` is the level behind its DAC: gain and scale errors of the multiplier are already inside a1 and
-a0. A residual winding resistance dR (true minus compensated, ohm) is inside as well, as
-rho = dR / K^2 [m/s per N] on the velocity estimate, which scales command and damping by
-alpha = 1 / (1 + b rho); with a `Winding` it varies, and `at_residual` gives the model there.
+`b` is the level after its DAC: a1 and a0 include gain and scale errors of the multiplier. They also
+include a residual winding resistance dR (true minus compensated, ohm), as rho = dR / K^2 [m/s per
+N] on the velocity estimate, which scales command and damping by alpha = 1 / (1 + b rho). With a
+`Winding` it varies, and `at_residual` gives the model there.
 
 Columns of u, by name in `InputColumns` (absent ones are None):
+
     command      virtual force [N], held by the DAC; the value of tick k acts for one period from
                  (k + delay_periods) T on
     torque       perturbation of the probe, as endpoint force [N]
     estimate     error of the velocity estimate [m/s]: offset of the multiplier (constant,
                  `estimate_offset_m_per_s`) and noise
-    rotor_force  what acts on the rotor and is not linear in its position and velocity [N]
-    amplifier    what the limits of the amplifier add to the rate of the motor force [N/s]
-    each Contact brings its own column
+    rotor_force  force on the rotor that is not linear in its position and velocity [N]
+    amplifier    change of the motor force's rate by the limits of the amplifier [N/s]
+    each Contact has a column of its own
 
-Everything that is not linear stands beside it, present or None: for None no instruction is spent.
+Every nonlinear part is a field of its own, present or None; None costs no instruction.
 
 Arrays must not be changed (they are read-only), and a level must be that after the DAC's
 quantisation.
@@ -51,7 +50,7 @@ Array = npt.NDArray[np.float64]
 
 
 def frozen(array: Array) -> Array:
-    """A copy that nobody can change."""
+    """Return a read-only copy."""
     copy = np.array(array, dtype=np.float64)
     copy.flags.writeable = False
     return copy
@@ -101,7 +100,7 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What is measured on the device, or could be.
+    """The measurable outputs of the device.
 
     The 4 kHz record holds means over its intervals h:
 
@@ -143,24 +142,24 @@ class Model:
     force_limit_n: float | None = None  # largest magnitude of the command; None for no limit
     active_damping_quantum_ns_per_m: float | None = None  # one count of the damping DAC
     ends: Ends | None = None  # mechanical ends of travel
-    # that are not linear; at most columns of Inputs.rotor_force
+    # nonlinear ones; at most columns of Inputs.rotor_force
     rotor_forces: tuple[RotorForce, ...] = ()
     drive: DriveLimits | None = None  # limits of the amplifier; columns of Inputs.amplifier
     noise: Noise | None = None  # of velocity channel and velocity estimate
     winding: Winding | None = None  # None: the winding keeps its temperature
     estimate_offset_m_per_s: float = 0.0  # constant on Inputs.estimate
-    level_gain: float = 1.0  # the circuit is asked for level_gain b + level_offset_ns_per_m
+    level_gain: float = 1.0  # level of the circuit: level_gain b + level_offset_ns_per_m
     level_offset_ns_per_m: float = 0.0  # of the multiplier
-    mass_kg: float = 0.0  # all that moves with the endpoint, the probe included
+    mass_kg: float = 0.0  # total moving mass, the probe included
     probe_mass_kg: float = 0.0  # part of mass_kg
     viscous_ns_per_m: float = 0.0  # all viscous friction, at both bodies
     velocity_quantum_m_per_s: float | None = None  # of the recorded velocity
     torque_quantum_n: float | None = None  # of the perturbation
     torque_constant_n_per_a: float = 1.0  # K_m / lever radius
-    resistance_ohm: float = 0.0  # of the winding as it is
+    resistance_ohm: float = 0.0  # true value of the winding
     temperature_c: float = 20.0  # of the winding, at the start
     residual_ohm: float = 0.0  # that the damping circuit does not cancel
-    notes: tuple[Note, ...] = ()  # the effects in words
+    notes: tuple[Note, ...] = ()  # descriptions of the effects
 
     def a(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """A at that level, (n, n)."""
@@ -171,17 +170,16 @@ class Model:
         return self.b0 + active_damping_ns_per_m * self.b1
 
     def translation(self) -> Array:
-        """All bodies moved by the same amount: 1 for every position, else 0, (n,)."""
+        """All bodies moved by the same amount: 1 for every position, 0 otherwise, (n,)."""
         return np.array([1.0 if state.name.endswith("_position") else 0.0 for state in self.states])
 
     def drifts(self, active_damping_ns_per_m: float = 0.0) -> bool:
-        """Whether nothing in the device itself holds it in place."""
+        """Whether the device itself does not hold its position."""
         return not (self.a(active_damping_ns_per_m) @ self.translation()).any()
 
     def at_residual(self, residual_ohm: float) -> "Model":
-        """The same device with another residual resistance, that of a colder or hotter winding.
-
-        ValueError if the model has no `winding`.
+        """Return the same device with another residual resistance, that of a colder or hotter
+        winding. ValueError if the model has no `winding`.
         """
         if self.winding is None:
             raise ValueError(f"model {self.name!r} has no winding whose resistance changes")
@@ -201,7 +199,7 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Exact response over a step to inputs that are held: x' = a x + b u."""
+    """Exact response over a step to held inputs: x' = a x + b u."""
 
     duration_s: float  # of the step
     active_damping_ns_per_m: float  # damping level that it holds for

@@ -1,20 +1,20 @@
-"""What stands between the lines of a grid: narrow dips of Re Z, sought at the poles of the loop.
+"""Narrow dips of Re Z between the lines of a grid, searched for at the poles of the loop.
 
 With G the pulse transfer of the command, C the law, E the part of G that passes through the probe
-at w, and h, q what a command does to the probe and the probe to the encoder (see `theorem`),
+at w, and h, q the transfers from command to probe and from probe to encoder (see `theorem`),
 
     Z = 1/P_vt + C h q / (1 + C (G - E))
 
 is sharp only near its poles: the modes of the device with its probe held still (zeros of P_vt) and
 the aliases of its free modes (poles of G), both moved by the law. Steps of 6 % miss a mode of 1 %:
-+0.38 is read where Re Z falls to -0.93 N s/m over 8 Hz. So
+they read +0.38 where Re Z falls to -0.93 N s/m over 8 Hz. Therefore:
 
 1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all
    environments;
-2. `min_real_part` takes Z between three neighbouring lines for (a + b x) / (1 + c x), exact for one
-   pole on a constant; the least real part of that is known in closed form. Where it is below the
-   least so far, Z is computed, of that environment alone, and the dip followed. Only computed
-   values count.
+2. `min_real_part` approximates Z between three neighbouring lines by (a + b x) / (1 + c x), exact
+   for one pole on a constant, whose minimum real part has a closed form. If it is below the minimum
+   so far, Z is computed for that environment alone, and the dip followed. Only computed values
+   count.
 
 Limitations: two modes within one step that are narrower than it, or a law that moves a mode by many
 of its widths without damping it, away from the lines, so that it hardly shows on any of them.
@@ -35,21 +35,21 @@ _WIDTHS = np.array([-10.0, -3.0, -1.0, -0.3, 0.3, 1.0, 3.0, 10.0])  # undamped, 
 _NARROWEST = 1e-4  # of its frequency: a half-width that is less counts as that
 _ROUNDS = 2
 _DIPS = 3
-_WORTH = 5e-4  # of the least Re Z: a dip by less is not followed
+_WORTH = 5e-4  # of the minimum Re Z: a smaller dip is not followed
 _WORTH_NS_PER_M = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class MinimumRealPart:
-    """Lowest points of Z of N environments."""
+    """Minima of N environments."""
 
-    margin: Floats  # (N,) least Re Z, N s/m
-    angle: Floats  # (N,) least 90 - |phase|, deg
-    hz: Floats  # (N,) where Re Z is least
+    margin: Floats  # (N,) minimum Re Z, N s/m
+    angle: Floats  # (N,) minimum 90 - |phase|, deg
+    hz: Floats  # (N,) where Re Z is minimal
 
 
 def mode_lines(model: Model, active_damping_ns_per_m: float, grid_hz: Floats) -> Floats:
-    """Frequencies (L,) [Hz] around the modes of `model` that are narrower than a step of
+    """Return frequencies (L,) [Hz] around the modes of `model` that are narrower than a step of
     `grid_hz` (F,).
     """
     poles = _poles(model, active_damping_ns_per_m, float(grid_hz[-1]))
@@ -64,8 +64,8 @@ def mode_lines(model: Model, active_damping_ns_per_m: float, grid_hz: Floats) ->
 
 
 def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Complexes:
-    """Poles [rad/s] of the device with its probe held, and of the free one with its aliases up
-    to `top_hz`.
+    """Return the poles [rad/s] of the device with its probe held still, and of the free one with
+    its aliases up to `top_hz`.
     """
     free = np.linalg.eigvals(model.a(active_damping_ns_per_m))
     reach = int((np.abs(free.imag).max() / (2.0 * np.pi) + top_hz) / model.rate_hz) + 1
@@ -76,7 +76,7 @@ def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Compl
 
 
 def min_real_part(frequency_hz: Floats, z: Complexes, at: At) -> MinimumRealPart:
-    """Lowest points of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
+    """Return minima of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
     found = MinimumRealPart(
@@ -88,9 +88,7 @@ def min_real_part(frequency_hz: Floats, z: Complexes, at: At) -> MinimumRealPart
 
 
 def _follow(found: MinimumRealPart, f: Floats, z: Complexes, at: At) -> None:
-    """Lower `found` where a dip is expected between lines: the deepest first, others while
-    deeper.
-    """
+    """Lower `found` where a dip is expected between lines: the deepest first."""
     three = np.stack((f[:-2], f[1:-1], f[2:]))
     _, expected = min_between_lines(three, np.stack((z[:, :-2], z[:, 1:-1], z[:, 2:])))
     for _ in range(_DIPS):
@@ -105,17 +103,13 @@ def _follow(found: MinimumRealPart, f: Floats, z: Complexes, at: At) -> None:
 
 
 def _worth(margin: Floats) -> Floats:
-    """By how much (N,) [N s/m] a dip must be lower to be followed; by nothing where it would
-    change the sign.
-    """
+    """Return how much (N,) [N s/m] deeper a followed dip must be; 0 if it would change the sign."""
     least = np.maximum(_WORTH_NS_PER_M, _WORTH * np.abs(margin))
     return np.where(margin > 0.0, np.minimum(least, margin), least)
 
 
 def _descend(found: MinimumRealPart, which: Integers, f: Floats, z: Complexes, at: At) -> None:
-    """Compute the dips of environments `which` (n,) between lines `f` (n, 3), and once more
-    inside.
-    """
+    """Compute the dips of environments `which` (n,) between lines `f` (n, 3), and again inside."""
     for _ in range(_ROUNDS):
         x, _ = min_between_lines(f.T, z.T)
         going = np.isfinite(x) & ~(f == x[:, None]).any(axis=1)
@@ -147,12 +141,12 @@ def _around(three: Floats, values: Complexes, x: Floats, z: Complexes) -> tuple[
 
 
 def min_between_lines(f: Floats, z: Complexes) -> tuple[Floats, Floats]:
-    """Where [Hz] the real part of the one pole through three values is least, and that least value.
+    """Return where [Hz] the real part of the single pole through three values is minimal, and that
+    minimum.
 
-    `f` (3, ...), ascending, and `z` (3, ...); inf and inf where it is not between the outer two.
-    From the middle one, Z = e + w / (d + x): the pole is at x = -d, and the real part of w / (d +
-    x) is least, (s Im w - |w|) / (2 |Im d|) with s the sign of Im d: a line becomes a circle
-    through 0.
+    `f` (3, ...), ascending, and `z` (3, ...); inf and inf if it is not between the outer two. From
+    the middle one, Z = e + w / (d + x): the pole is at x = -d, and the minimum real part of w / (d
+    + x) is (s Im w - |w|) / (2 |Im d|) with s the sign of Im d: a line maps to a circle through 0.
     """
     below = f[1] - f[0]
     above = f[2] - f[1]

@@ -1,22 +1,21 @@
-"""Prediction without a trial: whether an environment is passive on a device, for thousands of them
-at once.
+"""Prediction without a trial: whether an environment is passive on a device, for thousands at once.
 
-Passive means both: the sampled loop is stable (`loop`), and the first harmonic of its impedance
-(`loop`) has Re Z >= 0 all over the band, with Coulomb friction linearised at a stated perturbation
-(`linearise`), from which it must not run away. Re Z alone is not enough: of random environments
-with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1; K < 0 is refused for that
-reason unless asked for.
+Passive means two things. The sampled loop is stable (`loop`). The first harmonic of its impedance
+(`loop`) has Re Z >= 0 over the whole band, with Coulomb friction linearised at a given perturbation
+(`linearise`), from which it must not run away. Re Z alone does not suffice: of random environments
+with Re Z > 0 in 2-500 Hz one in twelve has a spectral radius above 1. K < 0 is refused for that
+reason unless allowed explicitly.
 
-Stability is looked at where Re Z leaves a choice, with the point's linearised friction, between
-steps of 5 %. The prediction is that of white noise (first harmonic, alike a measurement); what
-safety decides on is the lifted requirement without friction, `theorem`. A hand can shake what
-is predicted passive only outside the band, by images, or in motions so large that friction counts
-for less (`coupled`, ADR-0017). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
-limits of K and B to 5-14 %.
+Stability is computed where Re Z does not decide, with the point's linearised friction, between
+steps of 5 %. The prediction is that of white noise (first harmonic, as in a measurement). Safety
+decides on the lifted requirement without friction, `theorem`. A hand can destabilise an environment
+that is predicted passive only outside the band, by images, or in motions so large that friction
+counts for less (`coupled`, ADR-0017). Compared with 90 s of simulated trials: phase to 0.6-1.9
+degrees rms, limits of K and B to 5-14 %.
 
-Z is the true one, unless `recorded`: then it is what the probe's channels show, for comparison with
-a measurement. An AC-coupled velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200
-N/m read as 690; no loop is safer or less safe for that.
+Z is the true impedance. With `recorded` it is that of the probe's channels, for comparison with a
+measurement. An AC-coupled velocity amplifier of 0.1 Hz turns a spring's phase so far that 1,200 N/m
+read as 690, without any effect on the safety of the loop.
 """
 
 from dataclasses import dataclass, replace
@@ -74,16 +73,16 @@ class Prediction:
 
     points: Floats  # (N, 3) K N/m, B N s/m, M kg
     passive: Flags  # (N,)
-    margin_ns_per_m: Floats  # (N,) least Re Z over the band
-    margin_deg: Floats  # (N,) least 90 - |phase| over the band
-    worst_hz: Floats  # (N,) where Re Z is least
+    margin_ns_per_m: Floats  # (N,) minimum Re Z over the band
+    margin_deg: Floats  # (N,) minimum 90 - |phase| over the band
+    worst_hz: Floats  # (N,) where Re Z is minimal
     friction_ns_per_m: Floats  # (N,) linearised Coulomb friction of all bodies
     velocity_sd: Floats  # (N,) at the port, m/s; nan without perturbation
     spectral_radius: Floats  # (N,) of a tick; nan where Re Z < 0 had decided
     calm: Flags  # (N,) whether bursts of motion die out
     refused: Flags  # (N,) K < 0
     band_hz: tuple[float, float]
-    perturbation: Perturbation | None  # None: friction left out
+    perturbation: Perturbation | None  # None: friction omitted
     recorded: bool = False  # margins, and so `passive`, are those of the recorded channels
 
     @property
@@ -107,9 +106,9 @@ def predict(
     `points` (N, 3): K [N/m], B [N s/m], M [kg].
 
     `filters` are those of velocity and acceleration. Without a `perturbation` Coulomb friction is
-    left out. `recorded` takes Re Z as a measurement would see it, as in `predicted_impedance`; it
-    is not for decisions on safety. Without `stability` its `passive` leaves eigenvalues out, for a
-    first look at many points. AnalysisError for a wrong shape.
+    omitted. `recorded` evaluates Re Z as a measurement would, as in `predicted_impedance`; do not
+    use it for decisions on safety. Without `stability`, `passive` ignores eigenvalues, for a first
+    scan of many points. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
     start, loop = _nominal(
@@ -121,7 +120,7 @@ def predict(
     def judged(part: Floats) -> tuple[MinimumRealPart, Linearised]:
         found = linearise(loop, part, coulomb(model), start, perturbation)
         z = recorded_impedance(loop, part, found.impedance) if recorded else found.impedance
-        dampers = found.friction - start[:, None]  # beside those that the loop has already
+        dampers = found.friction - start[:, None]  # in addition to those of the loop
 
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
@@ -169,11 +168,11 @@ def predicted_impedance(
     perturbation: Perturbation | None = None,
     recorded: bool = True,
 ) -> Complexes:
-    """Z (F,) complex128 [N s/m] at the probe under one environment (K, B, M) at `frequency_hz` (F,)
-    > 0.
+    """Return Z (F,) complex128 [N s/m] at the probe under one environment (K, B, M) at
+    `frequency_hz` (F,) > 0.
 
-    `recorded`: as the board's probe shows it, with its force held and its velocity averaged over
-    250 us (`loop`), through the filters of the velocity channel; False for the true one.
+    `recorded`: as the board's probe records it, with force held and velocity averaged over 250 us
+    (`loop`), through the filters of the velocity channel; False for the true one.
     """
     f = np.asarray(frequency_hz, np.float64)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
@@ -192,12 +191,11 @@ def recorded_impedances(
     filters: Filters,
     perturbation: Perturbation,
 ) -> Complexes:
-    """Z (N, F) [N s/m] of environments `points` (N, 3) at `frequency_hz` (F,) as the board's probe
-    shows them.
+    """Return Z (N, F) [N s/m] of environments `points` (N, 3) at `frequency_hz` (F,) as the board's
+    probe records them.
 
     Each is its `predicted_impedance` within 0.02 % up to 500 Hz and 0.1 % at 1 kHz: friction is
-    added to the ports of a loop that has the device's own friction, as it is without an
-    environment.
+    added to the ports of a loop that already has the device's friction without an environment.
     """
     start, loop = _nominal(model, DEFAULT_BAND_HZ, active_damping_ns_per_m, filters, perturbation)
     own = close_loop(
@@ -225,8 +223,8 @@ def environments(points: npt.ArrayLike) -> Floats:
 def frequencies(
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ, perturbation: Perturbation | None = None
 ) -> Floats:
-    """Frequencies [Hz] at which Z is computed: dense where K, B and M act, up to the end of the
-    perturbation, both ends of the band included.
+    """Return the frequencies [Hz] at which Z is computed: dense where K, B and M act, up to the end
+    of the perturbation, both ends of the band included.
     """
     if not 0.0 < band_hz[0] <= band_hz[1] < np.inf:
         raise AnalysisError(
@@ -246,7 +244,7 @@ def frequencies(
 
 
 def coulomb(model: Model) -> Floats:
-    """Friction level [N] of each port of the loop, 0 where there is none."""
+    """Return the friction level [N] of each port of the loop, 0 without friction."""
     level = {contact.velocity: contact.level_n for contact in model.contacts}
     return np.array([level.get(state, 0.0) for state in port_states(model)])
 
@@ -268,9 +266,9 @@ def _nominal(
     filters: Filters,
     perturbation: Perturbation | None,
 ) -> tuple[Floats, Loop]:
-    """Friction of the device without environment, and the loop that has it, with lines around
-    its modes inside the band: what is changed afterwards stays small. Kept for the next points of
-    the same device.
+    """Return the friction of the device without environment, and the loop that has it, with lines
+    around its modes inside the band: later changes stay small. Cached for further points of the
+    same device.
     """
     f = frequencies(band_hz, perturbation)
     force = coulomb(model)
@@ -293,9 +291,9 @@ def chunks(kbm: Floats) -> list[Floats]:
 def _radius(
     model: Model, kbm: Floats, friction: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Spectral radius (N,) with `friction` (ports, N): exact at a few values of the friction,
-    for which one map each is made, and linear between them. From one to the next the port that
-    is furthest on its way goes first (Freudenthal's triangulation).
+    """Return the spectral radius (N,) with `friction` (ports, N): exact at a few values of the
+    friction, for which one map each is made, and linear between them. From one to the next the port
+    with the largest fraction goes first (Freudenthal's triangulation).
     """
     rubbing = friction.any(axis=1)
     steps = np.log(np.maximum(friction[rubbing], _LEAST_FRICTION)) / np.log(_FRICTION_STEP)
@@ -316,8 +314,8 @@ def _radius(
 def _radius_at(
     model: Model, kbm: Floats, level: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Spectral radius (N,) with friction `level` (ports, N), by one map for each level that
-    occurs.
+    """Return the spectral radius (N,) with friction `level` (ports, N), with one map per distinct
+    level.
     """
     nodes, which = np.unique(level, axis=1, return_inverse=True)
     radius = np.empty(len(kbm))

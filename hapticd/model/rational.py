@@ -1,4 +1,4 @@
-"""The condition of the theorem at all angles at once: a rational function, and where it is zero.
+"""The condition of the theorem at all angles at once: a rational function and its zeros.
 
 The condition of `theorem` is f(wT) = |1 + C g|^2 - R^2 |C|^2 >= 0. Its sums over the harmonics w_k
 are sums of a rational function F over s + 2 pi j k / T, and those are rational in z = e^(jwT):
@@ -7,19 +7,19 @@ are sums of a rational function F over s + 2 pi j k / T, and those are rational 
 
 so f is real and rational in z and 1/z, which makes it rational in c = cos wT. Its poles are known:
 
-    cosh pT     p: a zero of r(s) - x, r = (Z_o(s) + Z_o(-s)) / 2 with Z_o = 1/P_vt, x what is to
-                be spared; r depends on s^2 alone
-    cosh pT     p: a pole of the device with its probe held; those of the free device cancel
+    cosh pT     p: a zero of r(s) - x, r = (Z_o(s) + Z_o(-s)) / 2 with Z_o = 1/P_vt, x the required
+                margin; r depends on s^2 alone
+    cosh pT     p: a pole of the device with its probe held still; those of the free device cancel
     (z + 1/z)/2     z: a pole of a filter of the law
 
 Each is simple. In R^2 - |g|^2 = (a b - |p|^2) / 4 + .. the double poles at zeros of r - x cancel,
-for there one harmonic outweighs the others and a b = |p|^2; so does that at s = 0. With N poles,
-and a law and a delay of k whole ticks that reach back k + 3 ticks, f is a polynomial of degree N +
-k + 3 over prod (c - c_i): its values at n = N + k + 4 angles are all there is to know of it.
+because there one harmonic dominates and a b = |p|^2; so does that at s = 0. With N poles, and a law
+and a delay of k whole ticks that reach back k + 3 ticks, f is a polynomial of degree N + k + 3 over
+prod (c - c_i): its values at n = N + k + 4 angles determine it.
 
-The angles (`_angles_of`) are those of Chebyshev for rational functions with these poles: psi = (n
-- N) wT + sum (wT + 2 arg(1 - z_i e^(-jwT))), |z_i| < 1, grows from 0 to n pi, and cos psi is
-rational in c with the same poles. At its zeros the barycentric formula
+The angles (`_angles_of`) are those of Chebyshev for rational functions with these poles: psi = (n -
+N) wT + sum (wT + 2 arg(1 - z_i e^(-jwT))), |z_i| < 1, grows from 0 to n pi, and cos psi is rational
+in c with the same poles. At its zeros the barycentric formula
 
     f(c) = sum u_m / (c - c_m) / sum w_m / (c - c_m),   w_m = (-1)^m sin(w_m T) / psi'(w_m T),
     u_m = w_m f_m
@@ -28,16 +28,16 @@ is exact between them and loses no digits (Berrut and Trefethen 2004). A narrow 
 its own, however narrow it is. The zeros of f are those of sum u_m / (c - c_m), which is zero where
 diag(t) - 1 (u t^2)' / sum(u t) has an eigenvalue, t = 1 / (s - c) for any s outside of -1..1.
 
-Where the command does not move the encoder of the held device, e = 0 and |g|^2 <= R^2 (Cauchy and
+If the command does not move the encoder of the held device, e = 0 and |g|^2 <= R^2 (Cauchy and
 Schwarz), so f is concave in (K, B, M): environments that meet the condition are a convex set.
 
-`positive_everywhere` takes f for positive if it is so at the nodes, and at the real part of every
-zero exceeds what rounding may have made of it. A dip below zero has two real zeros about it, or,
-rounded away, a conjugate pair at its bottom. What is not decided is not positive. r > x needs no
-grid either: r - x has no zero with s^2 < 0.
+`positive_everywhere` accepts f as positive if it is positive at the nodes, and at the real part of
+every zero exceeds its rounding error. A dip below zero has two real zeros about it, or, after
+rounding, a conjugate pair at its bottom. An undecided f is not positive. r > x needs no grid
+either: r - x has no zero with s^2 < 0.
 
 The list must have all poles. The formula is therefore compared with the sums themselves between the
-nodes; where they differ the device is not positive anywhere.
+nodes; if they differ the device is not positive anywhere.
 """
 
 from dataclasses import dataclass
@@ -53,27 +53,27 @@ from hapticd.model.theorem import NOWHERE, Circles, circles, lifted_system, open
 __all__ = ["Rational", "positive_everywhere", "rational"]
 
 _IMAGES = 100  # harmonics on each side
-_AT_REST = 1e-5  # |pT|: less is a position that nothing holds, and no pole of f
-_FARTHEST = 1e-10  # |z|: poles that are nearer to 0 do not show
-_ON_AXIS = 1e-9  # of |s^2|: as near to s^2 < 0 counts as there
-_FINER = 16  # angles a node at which it is looked at first
-_ROUNDS = 60  # of halving, to the last bit of an angle
-_ROUNDING = 1e-8  # of the sum of the sizes, what is lost of f
-_AGREES = 1e-5  # of the same, with the sums between the nodes
+_AT_REST = 1e-5  # |pT|: less is a free position, which is not a pole of f
+_FARTHEST = 1e-10  # |z|: poles closer to 0 have no effect
+_ON_AXIS = 1e-9  # of |s^2|: within this of s^2 < 0 counts as on it
+_FINER = 16  # angles per node of the first evaluation
+_ROUNDS = 60  # of bisection, to the last bit of an angle
+_ROUNDING = 1e-8  # of the sum of the magnitudes: rounding error of f
+_AGREES = 1e-5  # of the same: tolerance against the sums between the nodes
 _BEYOND = (1.5, -1.5)  # s above
 _TINY = 1e-300  # instead of 0 where it divides
 
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """The n nodes of a device with its filters: whatever is asked of it has the same."""
+    """The n nodes of a device with its filters, common to all its functions."""
 
     cosine: Floats  # (n,)
     weight: Floats  # (n,) of the barycentric formula
 
     def at(self, cosine: Floats, values: Floats) -> tuple[Floats, Floats]:
-        """The functions with `values` (.., 1, n) at the nodes, at `cosine` (.., m), and the sum
-        of the sizes of what each is made of.
+        """Return the functions with `values` (.., 1, n) at the nodes, at `cosine` (.., m), and the
+        sum of the magnitudes of their terms.
         """
         away = cosine[..., None] - self.cosine
         shares = self.weight / np.where(away == 0.0, _TINY, away)
@@ -84,18 +84,18 @@ class _Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Rational:
-    """The condition as a rational function of cos wT, by its values at n nodes."""
+    """The condition as a rational function of cos wT, given by its values at n nodes."""
 
     nodes: _Nodes
     form: Floats  # (10, n) as in `theorem.Circles`
     circles: Circles  # at more angles, evenly in psi
-    convex: bool  # whether what lies between two environments that meet it does, too
+    convex: bool  # whether the set of environments that meet it is convex
 
 
 def rational(
     model: Model, active_damping_ns_per_m: float, filters: Filters, spare_ns_per_m: float
 ) -> Rational | None:
-    """The condition for that damping to spare; None if no environment meets it for sure."""
+    """Return the condition for that damping margin; None if no environment is sure to meet it."""
     poles = _poles(model, active_damping_ns_per_m, filters, spare_ns_per_m)
     if poles is None:
         return None
@@ -109,7 +109,7 @@ def rational(
     form, checks = np.split(sums.form, [angles.size], axis=1)
     nodes = _Nodes(np.cos(angles), _weights(angles, poles, more))
     values, sizes = nodes.at(np.cos(between), form[:, None])
-    # in proportion to what an environment near the edge makes of it
+    # in proportion to its weight for an environment near the edge
     near = terms_of(1.0 / np.abs(form[1:4]).max(axis=1)[None]).T
     if not (near * np.abs(values - checks) <= _AGREES * (1.0 + near * sizes)).all():
         return None
@@ -119,7 +119,7 @@ def rational(
 
 
 def positive_everywhere(found: Rational | None, kbm: Floats) -> Flags:
-    """Whether the condition holds at all angles for the environments `kbm` (N, 3), (N,)."""
+    """Return whether the condition holds at all angles for the environments `kbm` (N, 3), (N,)."""
     if found is None:
         return np.zeros(len(kbm), np.bool_)
     values = terms_of(kbm) @ found.form
@@ -130,7 +130,9 @@ def positive_everywhere(found: Rational | None, kbm: Floats) -> Flags:
 
 
 def _no_zero(nodes: _Nodes, values: Floats) -> Flags:
-    """Whether functions with positive `values` (N, n) at the nodes stay above 0 between (N,)."""
+    """Return whether functions with positive `values` (N, n) at the nodes stay above 0 between them
+    (N,).
+    """
     zeros = _zeros(nodes.cosine, nodes.weight * values)
     inside = np.abs(zeros.real) <= 1.0
     least, sizes = nodes.at(np.clip(zeros.real, -1.0, 1.0), values[:, None])
@@ -151,12 +153,14 @@ def _zeros(cosine: Floats, u: Floats) -> Complexes:
     every = np.arange(cosine.size)
     matrices[:, every, every] += at
     values = np.linalg.eigvals(matrices).astype(np.complex128)
-    # one eigenvalue is 0, and stands for no zero
+    # one eigenvalue is 0, and is not a zero
     return np.asarray(beyond[best, None] - 1.0 / np.where(values == 0.0, _TINY, values))
 
 
 def _poles(model: Model, level: float, filters: Filters, spare: float) -> Complexes | None:
-    """Poles (N,) of f inside the unit circle of z; None where the device spares less itself."""
+    """Return the poles (N,) of f inside the unit circle of z; None if the device itself has a
+    smaller margin.
+    """
     squares = _resistance_zeros(model, level, spare)
     if squares is None or ((squares.real < 0.0) & _real(squares)).any():
         return None
@@ -175,7 +179,8 @@ def _real(values: Complexes) -> Flags:
 
 
 def _resistance_zeros(model: Model, level: float, spare: float) -> Complexes | None:
-    """(sT)^2 (m,) at which the resistance is `spare`; None if it is less at high frequencies.
+    """Return (sT)^2 (m,) at which the resistance is `spare`; None if it is less at high
+    frequencies.
 
     With A of the held device the resistance is d + c A (s^2 - A^2)^-1 b.
     """
@@ -194,7 +199,7 @@ def _resistance_zeros(model: Model, level: float, spare: float) -> Complexes | N
 
 
 def _moves_held(model: Model, level: float) -> bool:
-    """Whether a command moves the encoder while the probe is held still."""
+    """Return whether a command moves the encoder while the probe is held still."""
     rotor = port_states(model)[0]
     held = np.delete(np.delete(model.a(level), rotor, 0), rotor, 1)
     state = np.delete(model.b(level)[:, model.inputs.command], rotor)
@@ -207,7 +212,7 @@ def _moves_held(model: Model, level: float) -> bool:
 
 
 def _angles_of(poles: Complexes, more: int, finer: int) -> Floats:
-    """Angles (n finer,), ascending, evenly in psi; those of the nodes for `finer` = 1."""
+    """Return angles (n finer,), ascending, evenly in psi; those of the nodes for `finer` = 1."""
     count = (poles.size + more) * finer
     wanted = np.pi * (np.arange(count) + 0.5) / finer
     low, high = np.zeros(count), np.full(count, np.pi)
@@ -219,13 +224,13 @@ def _angles_of(poles: Complexes, more: int, finer: int) -> Floats:
 
 
 def _phase(angles: Floats, poles: Complexes, more: int) -> Floats:
-    """psi (n,)."""
+    """Return psi (n,)."""
     turned = np.angle(1.0 - poles * np.exp(-1j * angles)[:, None])
     return np.asarray((more + poles.size) * angles + 2.0 * turned.sum(axis=1))
 
 
 def _weights(angles: Floats, poles: Complexes, more: int) -> Floats:
-    """Those of the barycentric formula (n,), at the nodes."""
+    """Return the weights of the barycentric formula (n,), at the nodes."""
     away = np.abs(np.exp(1j * angles)[:, None] - poles) ** 2
     slope = more + ((1.0 - np.abs(poles) ** 2) / away).sum(axis=1)
     weights = np.sin(angles) / slope

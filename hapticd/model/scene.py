@@ -1,10 +1,9 @@
-"""A scene: a device, what it renders, what moves it, and which of its effects exist.
-
-Plain values in SI units.
+"""A scene: a device, its rendered environment, its excitation, and the list of its effects. Plain
+values in SI units.
 
 A scene file (config/scenes/NAME.toml) is read by `hapticd.settings.scene`, which builds these;
-`compose` turns the device and the names in `effects` into a `Model`. An effect that is not named is
-not built: no state, no instruction, no time.
+`compose` turns the device and the names in `effects` into a `Model`. An effect that is not listed
+is not built and costs no state and no time.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ __all__ = ["DampingStep", "Excitation", "Scene"]
 
 @dataclass(frozen=True, slots=True)
 class Excitation(TableParams):
-    """What the probe does, as endpoint force."""
+    """The perturbation of the probe, as endpoint force."""
 
     kind: Literal["none", "noise", "multisine", "push"] = "none"
     """noise: Gaussian, a new value every 250 us; multisine: all harmonics of 1 / `period_s`, random
@@ -30,18 +29,18 @@ class Excitation(TableParams):
     band_hz: Annotated[float, Constraints(gt=0, le=2000)] = 1700.0
     """Upper edge of noise and multisine."""
     force_n: Annotated[float, Constraints(ge=-100, le=100)] = 0.0
-    """Of a push; rms of a multisine."""
+    """Force of a push; rms of a multisine."""
     start_s: NotNegative = 0.0
-    """When a push begins."""
+    """Start of a push."""
     period_s: Positive = 1.0
-    """After which a multisine repeats."""
+    """Period of a multisine."""
     seed: Annotated[int, Constraints(ge=0)] = 1
-    """Of noise and of a multisine's phases."""
+    """Seed of noise and of a multisine's phases."""
 
 
 @dataclass(frozen=True, slots=True)
 class DampingStep:
-    """From `at_s` on the servo asks for this active damping."""
+    """A change of the requested active damping at `at_s`."""
 
     at_s: float  # since the start of the scene
     level_ns_per_m: float  # active damping
@@ -49,7 +48,7 @@ class DampingStep:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is simulated."""
+    """The content of a simulation."""
 
     name: str
     title: str

@@ -1,16 +1,13 @@
-"""Stability of the open device at a damping level, with the reason in words.
+"""Stability of the open device at a damping level, with its reason.
 
-Without virtual environment; its eigenvalues decide.
+The eigenvalues without virtual environment decide. A device that nothing holds in place drifts:
+translation of all bodies together is an eigenvector with eigenvalue 0, and without damping a double
+one. It is divided out first (A t = 0 makes A block triangular in the basis t, t-perp), so the rest
+decides, and rounding of a double zero is not mistaken for growth.
 
-A device that nothing holds in place drifts: translation of all bodies together is an eigenvector
-with eigenvalue 0, and with no damping at all a double one. It is divided out first (A t = 0 makes A
-block triangular in the basis t, t-perp), so what is left decides, and rounding of a double zero is
-not mistaken for growth.
-
-What can make it unstable is the damping circuit alone: resistance over-compensated beyond
-g dR / K^2 = -1, an inductance error, or more damping than its bandwidth allows (the ceiling).
-
-`explain` lists states, modes, nonlinearities, and why each effect is there.
+Only the damping circuit can make it unstable: resistance over-compensated beyond g dR / K^2 = -1,
+an inductance error, or more damping than its bandwidth allows (the ceiling). `explain` lists
+states, modes, nonlinearities, and the purpose of each effect.
 
 A position must be a state named ..._position (its translation would otherwise not be divided out).
 """
@@ -41,11 +38,11 @@ class Stability:
     stable: bool
     growth_per_s: float  # largest real part of an eigenvalue
     loop_gain: float  # g dR / K^2; the circuit oscillates at -1
-    reason: str  # why it is unstable, or that it nearly is; else empty
+    reason: str  # why it is unstable or nearly so; otherwise empty
 
 
 def stability(model: Model, active_damping_ns_per_m: float = 0.0) -> Stability:
-    """Stability of the device alone at that damping level. ConfigError: out of reach."""
+    """Return the stability of the device alone at that damping level. ConfigError: out of range."""
     growth = float(modes(model, active_damping_ns_per_m).real.max())
     asked = model.level_gain * active_damping_ns_per_m + model.level_offset_ns_per_m
     with computable(model.name, "the gain of the damping circuit"):
@@ -59,7 +56,9 @@ def stability(model: Model, active_damping_ns_per_m: float = 0.0) -> Stability:
 def modes(
     model: Model, active_damping_ns_per_m: float = 0.0
 ) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
-    """Eigenvalues [1/s] of the device, its free translation left out. ConfigError: out of reach."""
+    """Return eigenvalues [1/s] of the device without free translation. ConfigError: out of
+    range.
+    """
     with computable(model.name, f"the modes at {active_damping_ns_per_m:g} N s/m"):
         a = model.a(active_damping_ns_per_m)
         if model.drifts(active_damping_ns_per_m):
@@ -68,7 +67,7 @@ def modes(
 
 
 def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
-    """Largest damping level [Ns/m] at which the device is stable, at most `highest_ns_per_m`."""
+    """Return the largest stable damping level [Ns/m] of the device, at most `highest_ns_per_m`."""
     if stability(model, highest_ns_per_m).stable:
         return highest_ns_per_m
     return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
@@ -77,7 +76,7 @@ def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
 def edge(
     holds: Callable[[float], bool], inside: float, outside: float, halvings: int = HALVINGS
 ) -> float:
-    """The last value for which `holds` is true, between `inside`, where it is, and `outside`."""
+    """Return the last value for which `holds` is true, between `inside` (true) and `outside`."""
     for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
@@ -85,7 +84,7 @@ def edge(
 
 
 def _quotient(a: Array, shift: Array) -> Array:
-    """A on what is left when translation of all bodies together is divided out."""
+    """Return A after translation of all bodies together is divided out."""
     others = np.eye(len(a))[:, np.argsort(-shift, kind="stable")[1:]]  # all axes but one position
     basis, _ = np.linalg.qr(np.column_stack([shift, others]))
     rest = basis[:, 1:]
@@ -125,18 +124,18 @@ class AtLevel:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What a composed model consists of, and how it behaves at some damping levels."""
+    """The parts of a composed model, and its behaviour at some damping levels."""
 
     states: tuple[StateVariable, ...]
-    nonlinearities: tuple[tuple[str, str], ...]  # effect, what it does
-    notes: tuple[Note, ...]  # why each effect is there
+    nonlinearities: tuple[tuple[str, str], ...]  # effect, description
+    notes: tuple[Note, ...]  # purpose of each effect
     levels: tuple[AtLevel, ...]
     delay_s: float  # from the encoder sample to its command
     fastest_s: float  # shortest time constant of all
 
 
 def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanation:
-    """What `model` consists of, with its modes at these damping levels."""
+    """Describe `model`, with its modes at these damping levels."""
     found = tuple(at_level(model, level) for level in levels_ns_per_m)
     highest = max(level.active_damping_ns_per_m for level in found)
     return Explanation(
@@ -152,7 +151,7 @@ def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanat
 
 
 def at_level(model: Model, active_damping_ns_per_m: float) -> AtLevel:
-    """Stability and modes of the open device at that damping level."""
+    """Return stability and modes of the open device at that damping level."""
     verdict = stability(model, active_damping_ns_per_m)
     upper = [complex(value) for value in modes(model, active_damping_ns_per_m) if value.imag >= 0.0]
     return AtLevel(

@@ -2,30 +2,28 @@
 
 A simulated board advances its plant in pieces of whole sub-steps, sixteen to a servo tick.
 `make_step` writes the source of one piece with every number of board.json as a literal and only the
-effects that the numbers call for (no stops: no comparison), compiles it, and leaves the source in
-`linecache` so that a traceback shows it. The coefficients of a piece depend on its length and on
-the damping level; they are made when first needed and forgotten when the level changes.
+effects that the numbers require (no stops: no comparison). It compiles the source and keeps it in
+`linecache` so that tracebacks show it. The coefficients of a piece depend on its length and on the
+damping level; they are computed on first use and dropped when the level changes.
 
-The state is a tuple that only the plant understands; what a board sees of it are the views of
-`Plant`. Here is the one rigid mass, exact at any damping level; a device with more effects comes
-from `composed` behind the same functions.
+The state is a tuple that is opaque outside the plant; the views of `Plant` are the board's access
+to it. This module has the one rigid mass, exact at any damping level; `composed` provides devices
+with more effects behind the same functions.
 
 One rigid mass with viscous damping c under a force f that is held for a time h, a = c h / m:
 
     m dv/dt = f - c v,   dx/dt = v
-
     v(h) = v e^-a          + (h / m)   phi1(a) f         phi1(a) = (1 - e^-a) / a
     x(h) = x + h phi1(a) v + (h^2 / m) phi2(a) f         phi2(a) = (1 - phi1(a)) / a
 
-Written with phi1 and phi2 nothing is divided by c, so c -> 0 is no special case: phi1 comes from
-expm1, phi2 (which would cancel) from its series below |a| = 1. At the servo's sub-steps a is about
-0.003.
+With phi1 and phi2 nothing is divided by c, so c -> 0 is not a special case: phi1 comes from expm1,
+phi2 (which would cancel) from its series below |a| = 1. At the servo's sub-steps a is about 0.003.
 
 Standard library alone: the servo process runs it.
 
-The force must be constant within h (hold it, as the amplifier does). Two boards must not call one
-step (it remembers the damping level). Limitations: a piece that is long against the motion when
-there are stops: a stop is met at the end of a piece, inelastically.
+The force must be constant within h (hold it, as the amplifier does). Two boards must not share one
+step (it caches the damping level). Limitations: with stops, a piece that is long compared with the
+motion, because a stop is met at the end of a piece, inelastically.
 """
 
 from collections.abc import Callable
@@ -75,13 +73,13 @@ def phi2(a: float) -> float:
 def held_force_response(
     mass_kg: float, damping_ns_per_m: float, duration_s: float
 ) -> tuple[float, float, float, float]:
-    """The exact response of a mass to a held force f, as four coefficients.
+    """Return the exact response of a mass to a held force f, as four coefficients.
 
         v' = decay v + velocity_per_n f
         x' = x + position_per_velocity v + position_per_n f
 
-    They are returned in this order: decay [1], velocity_per_n [m/s/N], position_per_velocity [s],
-    position_per_n [m/N].
+    Their order is decay [1], velocity_per_n [m/s/N], position_per_velocity [s], position_per_n
+    [m/N].
     """
     a = damping_ns_per_m * duration_s / mass_kg
     reach_s = duration_s * phi1(a)
@@ -90,7 +88,7 @@ def held_force_response(
 
 SUBSTEPS_PER_TICK = 16
 
-# bind() keeps the rows of the present damping level in its closure: one dictionary look-up a piece
+# bind() caches the rows of the present damping level in its closure: one lookup per piece
 _SOURCE = """\
 def bind(response):
     level, rows = None, {{}}
@@ -125,7 +123,9 @@ _STOP = """\
 
 
 def step_source(params: BoardParams) -> str:
-    """Source text of the step for `params`. ConfigError if the numbers describe no device."""
+    """Return the source text of the step for `params`. ConfigError if the numbers do not describe a
+    device.
+    """
     _check(params)
     return _SOURCE.format(
         mass_kg=params.mass_kg,
@@ -140,17 +140,19 @@ def step_source(params: BoardParams) -> str:
 
 
 def make_step(params: BoardParams) -> Step:
-    """`step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps) -> state`, inputs held.
+    """Return `step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps) -> state`, inputs
+    held.
 
-    force_n is the motor force, torque_n the perturbation torque as endpoint force, both to positive
-    x; n_substeps a whole number of T / 16. ConfigError if the numbers describe no device.
+    force_n is the motor force, torque_n the perturbation torque as endpoint force, both towards
+    positive x; n_substeps is a whole number of T / 16. ConfigError if the numbers do not describe a
+    device.
     """
     step: Step = compiled(step_source(params), "plant step")["bind"](held_force_response)
     return step
 
 
 class Plant(NamedTuple):
-    """What a board moves, and what it measures of it.
+    """The plant of a board, and the outputs that the board measures.
 
     A view is called with (state, force_n, active_damping_ns_per_m).
     """
@@ -163,14 +165,13 @@ class Plant(NamedTuple):
     motor_force: View  # N
     estimate: View  # m/s, back-EMF velocity
     celsius: Callable[[State], float] | None  # temperature of a winding that heats up
-    # sets the ohm that the circuit compensates beyond those of count 0; None: it cannot
+    # sets the compensated resistance [ohm] beyond that of count 0; None: no compensation
     compensate: Callable[[float], None] | None = None
 
 
 def make_plant(params: BoardParams) -> Plant:
-    """The plant of `params`: composed if they bring one, else the rigid mass.
-
-    ConfigError if the numbers describe none.
+    """Return the plant of `params`: composed if they contain one, otherwise the rigid mass.
+    ConfigError if the numbers do not describe a plant.
     """
     if params.touch is not None:
         return _touched(params, params.touch)
@@ -201,7 +202,7 @@ def make_plant(params: BoardParams) -> Plant:
 
 
 def _touched(params: BoardParams, touch: TouchParams) -> Plant:
-    """The plant with `touch` on its rotor, to which it hands its stops and its friction there."""
+    """Return the plant with `touch` on its rotor, which takes over stops and friction there."""
     substep_s = 1.0 / (SUBSTEPS_PER_TICK * params.rate_hz)
     bare = replace(params, touch=None)
     stops_m = (-inf, inf)
@@ -231,7 +232,7 @@ def _stops(params: BoardParams) -> tuple[float, float]:
 
 
 def _response(params: BoardParams, substep_s: float) -> Callable[[float], Response]:
-    """How the rotor answers a force that is held for a sub-step, by the level of damping."""
+    """Return the response of the rotor to a force held for a sub-step, by the level of damping."""
     if params.plant is not None:
         return rotor_response(params.plant)
 

@@ -1,14 +1,13 @@
-"""A composed model as the numbers of board.json: exact maps at a grid of damping levels.
+"""A composed model as the numbers of board.json: exact maps at a grid of damping levels. A map
+covers one sub-step.
 
-A map covers one sub-step.
+The levels that a configuration uses are nodes, so a board at one of them is exact. Between nodes,
+while the servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m the error of
+an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a second axis,
+its residual resistance.
 
-The levels that a configuration uses are nodes, so a board that stands at one of them is exact;
-between nodes, while the servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m
-the error of an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a
-second axis, its residual resistance.
-
-Limitations: a highest level far above 10 Ns/m with the same grid, or a winding that gets hotter
-than `HOTTEST_C` (the outermost maps are extended linearly).
+Limitations: a highest level far above 10 Ns/m with the same grid, or a winding hotter than
+`HOTTEST_C` (the outermost maps are extrapolated linearly).
 """
 
 from collections.abc import Iterable
@@ -28,7 +27,7 @@ __all__ = ["board_fields"]
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up
-TRIMMED_RESIDUALS = 33  # those, when it is compensated by the host as well
+TRIMMED_RESIDUALS = 33  # the same, if the host compensates it as well
 HOTTEST_C = 180.0  # upper end of that axis
 FAR_M = 1e3  # where a device without ends would stop; JSON has no infinity
 
@@ -40,8 +39,8 @@ def plant_params(
     highest_ns_per_m: float,
     trim_ohm: float = 0.0,
 ) -> PlantParams:
-    """Tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`, for a board that
-    compensates at most `trim_ohm` beyond the nominal.
+    """Return tables of `model` for sub-steps of `duration_s`, up to `highest_ns_per_m`, for a board
+    that compensates at most `trim_ohm` beyond the nominal.
 
     They are exact at `exact_levels` [Ns/m], which are rounded to counts as the DAC rounds them.
     """
@@ -59,7 +58,7 @@ def plant_params(
         discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)
     ]
     if model.drive is not None:
-        for one in maps:  # each has to be able to hold the force
+        for one in maps:  # each must be able to limit the force
             drive_response_s(model.drive, model.inputs.amplifier, one)
     out = model.outputs
     return PlantParams(
@@ -90,9 +89,9 @@ def board_fields(
     highest_ns_per_m: float,
     trim_ohm: float = 0.0,
 ) -> dict[str, Any]:
-    """The fields of BoardParams that describe `model`; arguments as of `plant_params`.
+    """Return the fields of BoardParams that describe `model`; arguments as for `plant_params`.
 
-    The tables, and the figures of a rigid mass that firmware and pages show.
+    They are the tables, and the values of a rigid mass that firmware and pages show.
     """
     substep_s = 1.0 / (SUBSTEPS_PER_TICK * model.rate_hz)
     return {

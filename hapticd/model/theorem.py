@@ -1,20 +1,20 @@
-"""How much physical damping an environment needs: the theorem of Colgate and Schenkel (1997),
+"""The physical damping that an environment needs: the theorem of Colgate and Schenkel (1997),
 lifted to every delay and device.
 
-A rigid device (`required_damping`). A sampled law answers the motion at w also at all w + 2 pi k /
-T. Seen so, the impedance is a diagonal b + j w_k m plus one product: the held force h_k = c e^(-j
-w_k d T) / (j w_k), c = H (1 - e^(-jwT)) / T, times the position 1 / (j w_l) that was sampled.
+A rigid device (`required_damping`). A sampled law answers motion at w also at all w + 2 pi k / T.
+In these coordinates the impedance is a diagonal b + j w_k m plus one product: the held force h_k =
+c e^(-j w_k d T) / (j w_k), c = H (1 - e^(-jwT)) / T, times the sampled position 1 / (j w_l).
 Positive realness of that sum needs
 
     b >= ( sqrt(|c|^2 S0^2 - Im(c S)^2) + Re(c S) ) / 2,   S0 = sum 1/w_k^2 = (T / (2 sin(wT/2)))^2
 
 at every wT in 0..pi, with S = sum e^(-j w_k d T) / w_k^2. S is linear in d within a tick: S = S0
-((1 - d) + d e^(-jwT)), and a whole tick is a factor e^(-jwT). With d = 0 or whole, S is in step
+((1 - d) + d e^(-jwT)), and a whole tick is a factor e^(-jwT). With d = 0 or whole, S is in phase
 with S0 and this is Colgate and Schenkel's
 
     b > T / 2  1 / (1 - cos wT)  Re{ (1 - e^(-jwT)) H }
 
-White noise sees k = 0 alone, which asks for less (`baseband`): 0.405 times as much at Nyquist, 5 %
+White noise sees k = 0 alone, which needs less (`baseband`): 0.405 times as much at Nyquist, 5 %
 less for a filtered B.
 
 A composed device (`lifted_system`): flexible, smoothed, damped by a circuit, encoder not on the
@@ -30,13 +30,13 @@ With r_k = Re 1/P_vt the Hermitian part of Z - x is positive exactly where
     1 + ( Re(c p) - sqrt(|c|^2 a b - Im(c p)^2) ) / 2 >= 0,
     a = sum |h|^2/(r - x), b = sum |q|^2/(r - x), p = sum q h/(r - x)
 
-and the largest such x < min r is the damping that the device has to spare: what safety decides on.
-It has no friction in it and holds for every input, a multisine that drives f and 1/T - f together
-included. Harmonics beyond `_IMAGES` fall off as 1/w_k^2 at least; their sum in closed form, scaled
-to the last one, stands for them.
+and the largest such x < min r is the damping margin of the device, on which safety decides. It
+contains no friction and holds for every input, including a multisine that drives f and 1/T - f
+together. Harmonics beyond `_IMAGES` fall at least as 1/w_k^2; their sum in closed form, scaled to
+the last one, replaces them.
 
-The loop must be stable: both presume it (`loop.spectral_radius`). Limitations: r_k < 0 by the
-device itself, which then has nothing to spare.
+The loop must be stable, as both conditions assume (`loop.spectral_radius`). Limitations: r_k < 0 of
+the device itself, which then has no margin.
 """
 
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ __all__ = [
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side
-_HALVINGS = 32  # of the interval in which the spare damping lies
+_HALVINGS = 32  # of the interval that contains the damping margin
 _NEAR = 1e-8  # of that interval, between the angles: a parabola is an estimate
 _FOURFOLD = 9  # steps from its top towards its end, each four times the one before
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
@@ -88,12 +88,12 @@ def required_damping(
     filters: Filters = PAPER_FILTERS,
     baseband: bool = False,
 ) -> tuple[Floats, Floats]:
-    """Damping [N s/m] that a rigid device needs under `points` (N, 3), K, B, M in SI, and the
-    frequency [Hz] that asks for it.
+    """Return the damping [N s/m] that a rigid device needs under `points` (N, 3), K, B, M in SI,
+    and the frequency [Hz] that requires it.
 
-    `filters` are those of velocity and acceleration, None for none. `baseband` asks for what white
-    noise measures, instead of for all inputs. Both results are (N,) float64; 0 where none is
-    needed.
+    `filters` are those of velocity and acceleration, None for none. `baseband` gives the
+    requirement for white noise instead of all inputs. Both results are (N,) float64; 0 if no
+    damping is needed.
     """
     kbm = environments(points)
     half = 0.5 * _ANGLES
@@ -114,7 +114,7 @@ def required_damping(
 
 @dataclass(frozen=True, eq=False)
 class LiftedSystem:
-    """A device seen at A angles and H harmonics."""
+    """A device at A angles and H harmonics."""
 
     angles: Floats  # (A,) wT
     law: Complexes  # (3, A) response of the law to K, B, M
@@ -127,8 +127,8 @@ class LiftedSystem:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """A device without a law at A angles and H harmonics: what of a lift no delay and no filter
-    changes.
+    """A device without a law at A angles and H harmonics: the part of a lift that is independent of
+    delay and filters.
     """
 
     angles: Floats  # (A,) wT
@@ -144,9 +144,9 @@ def open_loop(
     angles: Floats | None = None,  # (A,) wT
     images: int = _IMAGES,  # on each side
 ) -> OpenLoop:
-    """Look at `model` at that level of active damping: nine tenths of the work of a lift.
+    """Evaluate `model` at that level of active damping: nine tenths of the work of a lift.
 
-    At `angles`, or else at those of its modes (`angles_of`).
+    At `angles`, by default those of its modes (`angles_of`).
     """
     angles = angles_of(model, active_damping_ns_per_m) if angles is None else angles
     harmonics = np.arange(-images, images + 1)
@@ -169,7 +169,7 @@ def lifted_system(
     seen: OpenLoop | None = None,
 ) -> LiftedSystem:
     """Lift `model` at that level of active damping, without Coulomb friction, with filters of
-    velocity and acceleration. `seen` is what `open_loop` saw of it, at whatever delay.
+    velocity and acceleration. `seen` is the result of `open_loop` for it, at any delay.
     """
     rate_hz = model.rate_hz
     device = open_loop(model, active_damping_ns_per_m) if seen is None else seen
@@ -179,7 +179,7 @@ def lifted_system(
         f.shape
     )
     inner = pulse_transfer(model, turn, active_damping_ns_per_m) - (out * device.back).sum(axis=1)
-    back = device.back * device.impedance  # only now q: E needs P_xt itself
+    back = device.back * device.impedance  # q from here on: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
     rest, rest_late = _beyond(device.angles, 2.0 * np.pi * f / rate_hz, model.delay_periods)
     tails = [_last(size, f, rate_hz) * rest for size in sizes]
@@ -198,24 +198,23 @@ def lifted_system(
 
 
 class Margin(NamedTuple):
-    """What one environment leaves of the device's damping, and where it takes most."""
+    """The damping margin of one environment, and its frequency."""
 
-    margin_ns_per_m: float  # that the device has to spare; negative where it falls short
+    margin_ns_per_m: float  # negative if damping is missing
     worst_hz: float  # between 0 and half the servo's rate
 
 
 def lifted_worst(lifted: LiftedSystem, point: npt.ArrayLike, rate_hz: float) -> Margin:
-    """The margin of one environment (3,) as `lifted_margin`, and the frequency [Hz] that sets it.
-
-    At servo rate `rate_hz`.
+    """Return the margin of one environment (3,) as `lifted_margin`, and the frequency [Hz] that
+    sets it, at servo rate `rate_hz`.
     """
     margin, angle = _spare(lifted, (environments(np.atleast_2d(np.asarray(point))) @ lifted.law)[0])
     return Margin(margin, float(lifted.angles[angle]) * rate_hz / (2.0 * np.pi))
 
 
 def lifted_margin(lifted: LiftedSystem, points: npt.ArrayLike) -> Floats:
-    """Damping (N,) [N s/m] that the device has to spare at the probe under `points` (N, 3);
-    negative where it falls short.
+    """Return the damping margin (N,) [N s/m] of the device at the probe under `points` (N, 3);
+    negative if damping is missing.
 
     For a rigid device it is its damping minus `required_damping`.
     """
@@ -223,10 +222,11 @@ def lifted_margin(lifted: LiftedSystem, points: npt.ArrayLike) -> Floats:
 
 
 def lifted_passive(lifted: LiftedSystem, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one evaluation instead of dozens per
-    environment, between the angles an estimate (`rational` has none). The loop must be stable.
+    """Return whether the damping margin is not negative (N,), for maps.
 
-    Never with K < 0, which is active below all angles that are looked at.
+    It needs one evaluation per environment instead of dozens, and estimates between the angles
+    (`rational` does not). The loop must be stable. False for K < 0, which is active below all
+    evaluated angles.
     """
     kbm = environments(points)
     return outside_circles(circles(lifted), kbm) & (kbm[:, 0] >= 0.0)
@@ -234,10 +234,10 @@ def lifted_passive(lifted: LiftedSystem, points: npt.ArrayLike) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class Circles:
-    """Circles at A angles that -1/C must not be in, for a damping to spare: |1 + C g| >= R |C|.
+    """Circles at A angles that -1/C must not be in, for a damping margin: |1 + C g| >= R |C|.
 
-    Both sides squared are a quadratic form in (1, K, B, M), of which `form` has the coefficients:
-    a yes or no costs ten products an angle, whatever the device.
+    Both sides squared are a quadratic form in (1, K, B, M) with the coefficients `form`: a yes or
+    no costs ten products per angle, whatever the device.
     """
 
     angles: Floats  # (A,) wT
@@ -249,10 +249,10 @@ NOWHERE = Circles(np.full(1, np.pi), -1.0 * (np.arange(10.0) == 0.0)[:, None])  
 
 
 def circles(lifted: LiftedSystem, spare_ns_per_m: float = 0.0) -> Circles:
-    """The circles for that damping to spare. With c = C / (1 + C (G - E)) the module's condition
-    is this one with g = G - E + p / 2 and R = sqrt(a b) / 2.
+    """Return the circles for that damping margin. With c = C / (1 + C (G - E)) the module's
+    condition is this one with g = G - E + p / 2 and R = sqrt(a b) / 2.
 
-    A device that has less than that by itself is never passive: its forms are negative.
+    A device with less damping than the margin is never passive: its forms are negative.
     """
     resistance = lifted.resistance - spare_ns_per_m
     if resistance.min() <= 0.0:
@@ -267,14 +267,14 @@ def circles(lifted: LiftedSystem, spare_ns_per_m: float = 0.0) -> Circles:
 
 
 def terms_of(kbm: Floats) -> Floats:
-    """What the rows of a form are of (N, 10): 1, K, B, M and their products, `kbm` (N, 3)."""
+    """Return the terms of a form (N, 10): 1, K, B, M and their products, `kbm` (N, 3)."""
     one, other = _PAIRS
     return np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
 
 
 def outside_circles(allowed: Circles, kbm: Floats) -> Flags:
-    """True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles, as estimated
-    also between the angles: passive, if stable.
+    """Return True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles,
+    estimated also between the angles: passive, if stable.
     """
     values = terms_of(kbm) @ allowed.form
     outside = np.asarray(values.min(axis=1) >= 0.0)
@@ -291,7 +291,7 @@ def _share(lifted: LiftedSystem, spare: float, angles: Integers) -> Floats:
 def _sums(
     lifted: LiftedSystem, share: Floats, angles: Integers
 ) -> tuple[Floats, Floats, Complexes]:
-    """a, b and p of the module's text at some `angles`, weighted by `share` (n, H)."""
+    """Return a, b and p of the module docstring at some `angles`, weighted by `share` (n, H)."""
     out, back, both = (
         np.einsum("ah,ah->a", weights[angles], share)
         for weights in (lifted.out, lifted.back, lifted.both)
@@ -300,9 +300,10 @@ def _sums(
 
 
 def _circle(lifted: LiftedSystem, spare: float, angles: Integers) -> tuple[Complexes, Floats]:
-    """g and |g|^2 - R^2 of the circles at some `angles`.
+    """Return g and |g|^2 - R^2 of the circles at some `angles`.
 
-    Of the harmonic next to 0 Hz alone a b = |p|^2, at low frequencies a million times what is left.
+    For the harmonic next to 0 Hz alone a b = |p|^2, at low frequencies a million times the
+    remainder.
     """
     share = _share(lifted, spare, angles)
     first = share.shape[1] // 2 - 1
@@ -327,11 +328,11 @@ def _positive(lifted: LiftedSystem, gain: Complexes, spare: float, angles: Integ
 
 
 def _spare(lifted: LiftedSystem, law: Complexes) -> tuple[float, int]:
-    """The damping to spare, and the place of the angle that sets it. What is positive for more
-    spare is so for less: only angles that fell short are looked at again, from the top downwards
-    in steps that grow fourfold, then by halving.
+    """Return the damping margin, and the index of the angle that sets it. A condition that holds
+    for a larger margin holds for a smaller one. Only failed angles are therefore evaluated again,
+    downwards in steps that grow fourfold, then by bisection.
     """
-    gain = law / (1.0 + law * lifted.inner)  # c of the module's text
+    gain = law / (1.0 + law * lifted.inner)  # c of the module docstring
     high = float(lifted.resistance.min())
     sizes = lifted.out.sum(axis=1) * lifted.back.sum(axis=1)
     span = float(np.max(np.abs(gain) * np.sqrt(sizes))) + 1e-9
@@ -358,8 +359,8 @@ def _spare(lifted: LiftedSystem, law: Complexes) -> tuple[float, int]:
 
 
 def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: float) -> float:
-    """The damping to spare of an environment that spares that much at the angles themselves: less
-    where the condition has a vertex below 0 between two of them.
+    """Return the damping margin of an environment with that margin at the angles themselves: less
+    if the condition has a vertex below 0 between two of them.
     """
     every = np.arange(law.size)
     _, place, least = vertices(lifted.angles, _outside(lifted, law, spare, every)[None])
@@ -381,15 +382,15 @@ def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: flo
 
 
 def _outside(lifted: LiftedSystem, law: Complexes, spare: float, angles: Integers) -> Floats:
-    """How far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
+    """Return how far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
     centre, excess = _circle(lifted, spare, angles)
     c = law[angles]
     return np.asarray(1.0 + 2.0 * (c * centre).real + (c.real**2 + c.imag**2) * excess)
 
 
 def _beyond(angles: Floats, harmonics: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
-    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 at `angles` (A,) over the harmonics beyond
-    `harmonics` (A, H) = w_k T.
+    """Return the sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 at `angles` (A,) over the
+    harmonics beyond `harmonics` (A, H) = w_k T.
     """
     whole, part = divmod(delay_periods, 1.0)
     total = (0.5 / np.sin(0.5 * angles)) ** 2
@@ -401,6 +402,6 @@ def _beyond(angles: Floats, harmonics: Floats, delay_periods: float) -> tuple[Fl
 
 
 def _last(weights: npt.NDArray[np.inexact], f: Floats, rate_hz: float) -> "npt.NDArray[np.inexact]":
-    """Weights times (w_k T)^2 at the outermost harmonics, mean of both ends (A,)."""
+    """Return the weights times (w_k T)^2 at the outermost harmonics, mean of both ends (A,)."""
     angles = 2.0 * np.pi * f / rate_hz
     return 0.5 * (weights[:, 0] * angles[:, 0] ** 2 + weights[:, -1] * angles[:, -1] ** 2)

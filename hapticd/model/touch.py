@@ -1,33 +1,33 @@
-"""What touches the moving part of a simulated device beside its motor: stops that yield, a bearing
-that sticks, a hand that holds, pushes or strikes. Standard library alone.
+"""Contacts of the moving part of a simulated device: compliant stops, a bearing with stiction, a
+hand that holds, pushes or strikes. Standard library alone.
 
-All of it is one force f on the rotor, held over a sub-step h like the motor's and chosen such that
-the laws of the contacts hold at the END of the sub-step:
+All of them form one force f on the rotor, held over a sub-step h like the motor's and chosen such
+that the laws of the contacts hold at the END of the sub-step:
 
     x' = x_free + Wx f,   v' = v_free + Wv f          the device, exact for a held f
     f  = p - k x' - b v' + r                          springs, dampers and pushes, all linear
     r in [-F, F] so that v' = 0, else r = -F sgn(v')  friction, set-valued (see `friction`)
 
-Two linear equations and a clamp, solved directly: no iteration, and no stiffness is too high. For
-a bare mass with u = k h^2 / m the map over a sub-step has determinant 1 / (1 + u/2) < 1 and trace
-(2 - u/2) / (1 + u/2), so both eigenvalues lie inside the unit circle for every k: an explicit
-spring of 2e6 N/m on 5 g (u = 1.6) would gain energy, this one only loses some. A stop is one
-spring and damper that push and never pull: it is tried without, and taken in if the position
-would end beyond it and the force pushes outwards. A mass that stands is held up to the static
-level, one that moves is braked by the Coulomb level, so a slow push moves it in jerks.
+Two linear equations and a clamp are solved directly, without iteration and for any stiffness. For a
+bare mass with u = k h^2 / m the map over a sub-step has determinant 1 / (1 + u/2) < 1 and trace (2
+- u/2) / (1 + u/2), so both eigenvalues lie inside the unit circle for every k. An explicit spring
+of 2e6 N/m on 5 g (u = 1.6) would gain energy; this one only loses some. A stop is a spring and a
+damper that push and never pull: the step is first computed without it, and again with it if the
+position would end beyond it and its force pushes back. A mass at rest is held up to the static
+level, a moving one is braked by the Coulomb level, so a slow push moves it in jerks.
 
-    hold      a spring and a damper from where the handle is when it is grasped, to a fixed point,
-              which wanders by `tremor_m` rms (first order, 10 Hz; seeded) if that is asked for
+    hold      a spring to the handle's position at the grasp, which wanders by `tremor_m` rms (first
+              order, 10 Hz; seeded) if requested, and a damper to ground
     push      a constant force
-    strike    half a sine of force, `force_n` at its height
+    strike    half a sine of force with peak `force_n`
 
-Time is counted in sub-steps since the device was made: a hand knows nothing of a board that
-restarts. While nothing but friction acts and the motion keeps its direction, a whole piece is one
-step. Friction that the device itself has at the rotor is handed over to this contact (by
-`step.make_plant`), because two set-valued forces on one body are one.
+Time is counted in sub-steps since the device was made, so a hand is independent of restarts of the
+board. While only friction acts and the motion keeps its direction, a whole piece is one step.
+Friction that the device itself has at the rotor moves to this contact (by `step.make_plant`),
+because two set-valued forces on one body are one.
 
 The response (Wx, Wv) must be of the step's level of damping. Limitations: a device whose rotor
-reverses within a piece at whose ends it moves the same way.
+reverses within a piece and moves the same way at both its ends.
 """
 
 from collections.abc import Callable
@@ -60,9 +60,8 @@ class Solved(NamedTuple):
 
 
 def solve(x_free: float, v_free: float, w: Response, linear: Linear, friction_n: float) -> Solved:
-    """The force for which the laws hold at the end of the sub-step.
-
-    `x_free` [m] and `v_free` [m/s] are reached without it.
+    """Return the force for which the laws hold at the end of the sub-step. `x_free` [m] and
+    `v_free` [m/s] are reached without it.
     """
     wx, wv = w
     push, stiffness, damping = linear
@@ -76,7 +75,7 @@ def solve(x_free: float, v_free: float, w: Response, linear: Linear, friction_n:
 
 
 class Hand:
-    """One hand while it acts. `linear` moves it on by one sub-step."""
+    """One hand while it acts. `linear` advances it by one sub-step."""
 
     __slots__ = ("_gauss", "_keep", "_params", "_point_m", "_step_s", "_wander_m")
 
@@ -94,7 +93,7 @@ class Hand:
         return params.start_s <= now_s < params.start_s + params.duration_s
 
     def linear(self, now_s: float, position_m: float) -> Linear:
-        """Its force over the sub-step that begins at `now_s`."""
+        """Return its force over the sub-step that begins at `now_s`."""
         params = self._params
         if params.kind == "push":
             return Linear(params.force_n)
@@ -124,10 +123,11 @@ def touched_step(
     substep_s: float,
     seed: int,
 ) -> Step:
-    """`step` of a device without stops and friction at its rotor, touched as `params` say.
+    """Return `step` of a device without stops and friction at its rotor, with the contacts of
+    `params`.
 
     `response(active_damping_ns_per_m)` is that of one sub-step; `stops_m` is where stops begin to
-    yield, infinite without. ConfigError if the numbers describe no contact.
+    yield, infinite without stops. ConfigError if the numbers do not describe a contact.
     """
     _check(params)
     lower, upper = stops_m
@@ -175,11 +175,11 @@ def touched_step(
         after = step(state, force_n, torque_n + contact_n, level, 1)
         if not sticks:
             return after
-        # what rounding leaves of a velocity that is 0, and of no way
+        # remove rounding errors from a zero velocity and displacement
         return (after[POSITION] if v else x, 0.0, *after[VELOCITY + 1 :])
 
     def slid(state: State, force_n: float, torque_n: float, level: float, n: int) -> State | None:
-        """A whole piece under sliding friction alone; None where more has to be decided."""
+        """A whole piece under sliding friction alone; None if more has to be decided."""
         v = state[VELOCITY]
         if not v or any(
             hand.acts(count * substep_s) or hand.acts((count + n - 1) * substep_s) for hand in hands

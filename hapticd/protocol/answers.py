@@ -1,9 +1,9 @@
-"""What the daemon answers, as frozen dataclasses: the one schema of its replies.
+"""The replies of the daemon, as frozen dataclasses: the one schema of replies.
 
 `schemas.json_schema` derives the JSON schema of replies from these classes, and the clients read
 replies with `answer_of`. It leaves out fields that this release does not know, so a client works
-with a newer daemon. A field with a default may be missing. Units are in the names of numbers.
-`None` stands for what is not known.
+with a newer daemon. A field with a default may be missing. Names of numbers contain their units.
+`None` means unknown.
 
 Every field that the gateway sends must be here (a test compares both).
 """
@@ -49,7 +49,7 @@ A = TypeVar("A")
 
 
 def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
-    """The answer in the map `plain` of a reply, without fields that `kind` does not have.
+    """Return the answer in the map `plain` of a reply, without fields that `kind` does not have.
 
     CommandError: a field without a default is missing.
     """
@@ -66,7 +66,7 @@ _hints: Callable[[Any], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints
 
 
 def _made(hint: Any, value: Any) -> Any:
-    """`value` of a message, as a field of type `hint` holds it: answers inside are made, too."""
+    """Return `value` of a message for a field of type `hint`; nested answers are converted too."""
     inside = [one for one in get_args(hint) if one is not NoneType]
     if value is None:
         return None
@@ -83,55 +83,57 @@ def _made(hint: Any, value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class GuardReading:
-    """How far a display is from the edge; None where the basis does not say."""
+    """The distance of a display from the edge of stability; None where the basis gives
+    no number.
+    """
 
-    margin_ns_per_m: float | None = None  #: damping to spare, N s/m; negative: so much is lacking
-    worst_hz: float | None = None  #: the frequency at which it is least
+    margin_ns_per_m: float | None = None  #: damping margin, N s/m; negative: a shortfall
+    worst_hz: float | None = None  #: frequency of the smallest margin
     radius: float | None = None  #: spectral radius of a tick; 1 or more: unstable by itself
 
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """A hand that would shake the device, as one thing that can be imagined."""
+    """A passive hand that destabilises the device, as a single mass or spring."""
 
-    text: str = ""  #: which mass or spring, at which frequency
+    text: str = ""  #: the mass or spring, and its frequency
     mass_kg: float | None = None  #: one of these two
     stiffness_n_per_m: float | None = None  #: of a spring to the ground
-    hz: float | None = None  #: at which it shakes
+    hz: float | None = None  #: frequency of the instability
     radius: float | None = None  #: spectral radius of a tick, with that hand
-    growth: str = ""  #: how fast its motion grows, in words
+    growth: str = ""  #: growth of the motion, in words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuardVerdict(GuardReading):
-    """What the guard says of a change, with the reading in free space."""
+    """The guard's verdict on a change, with the reading in free space."""
 
-    safe: bool | None = None  #: of what was asked, every hand and the whole way; None: unknown
-    policy: str = ""  #: by which it was judged: off, warn, clamp, refuse, follow
+    safe: bool | None = None  #: passive for every hand, on the whole path; None: unknown
+    policy: str = ""  #: of the judgement: off, warn, clamp, refuse, follow
     basis: str = "unknown"  #: theorem, predicted, or the measurement
     #: the reading in the wall; None without a wall
     contact: GuardReading | None = None
-    delay_periods: float | None = None  #: of the loop, on which it counts
-    #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
-    #: do
+    delay_periods: float | None = None  #: assumed loop delay
+    #: allowed range of each of K [N/m], B [N s/m] and M [kg], with the others as requested; None:
+    #: no value is safe
     allowed: dict[str, list[float] | None] = field(default_factory=dict)
-    least_active_damping_ns_per_m: float | None = None  #: of active damping that would do
-    clamped: bool = False  #: `given` is less than what was asked
-    given: dict[str, Any] = field(default_factory=dict)  #: where it leads, in the shape of a `set`
-    path_points: int = 0  #: that were judged on the way
-    not_covered: tuple[str, ...] = ()  #: what no verdict promises
+    least_active_damping_ns_per_m: float | None = None  #: lowest sufficient active damping
+    clamped: bool = False  #: `given` is less than requested
+    given: dict[str, Any] = field(default_factory=dict)  #: end of the change, shaped as a `set`
+    path_points: int = 0  #: judged points of the path
+    not_covered: tuple[str, ...] = ()  #: effects that no verdict covers
     outcome: str = ""  #: an `explanation.Outcome`
-    reasons: tuple[Entry, ...] = ()  #: what is wrong, or known
-    remedies: tuple[Entry, ...] = ()  #: of which one would do
+    reasons: tuple[Entry, ...] = ()
+    remedies: tuple[Entry, ...] = ()  #: alternatives: one is enough
     text: str = ""  #: one sentence made of these
-    cmd: str = ""  #: what was asked: set, damping, enable ...
-    number: int = 0  #: by which the event with the hand refers to it
-    stages: int = 0  #: in which it is done
-    hand: Hand | None = None  #: that would shake it, where it was waited for
+    cmd: str = ""  #: the requested command: set, damping, enable ...
+    number: int = 0  #: reference in the event with the hand
+    stages: int = 0  #: number of stages
+    hand: Hand | None = None  #: destabilising hand, if the client waited for it
 
     @property
     def worse(self) -> GuardReading:
-        """The reading with less to spare: that in free space, or that in the wall."""
+        """The reading with the smaller margin: that in free space, or that in the wall."""
         free = GuardReading(self.margin_ns_per_m, self.worst_hz, self.radius)
         wall = self.contact
         if wall is None or wall.margin_ns_per_m is None or free.margin_ns_per_m is None:
@@ -140,32 +142,32 @@ class GuardVerdict(GuardReading):
 
 
 def verdict_of(plain: Mapping[str, Any] | None) -> GuardVerdict | None:
-    """The verdict in the map `plain` of a reply or an event; None where there is none."""
+    """Return the verdict in the map `plain` of a reply or an event; None without one."""
     return answer_of(GuardVerdict, plain) if plain else None
 
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What became of an accepted change, as the servo answered.
+    """The servo's answer to an accepted change.
 
     Ticks count from the servo's start.
     """
 
-    #: "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
-    #: then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
-    #: stop word, which gives no receipt
+    #: "applied": in force from `first_tick` on; "scheduled": in force later, with `effective` until
+    #: then; "staged": started, and an event reports the end; "pressed": a stop by the stop word,
+    #: without a receipt of the servo
     result: str = ""
     state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault, starting, down
     revision: int = 0  #: number of accepted changes in this life of the servo
     first_tick: int = 0  #: from which the change acts
-    ramp_end_tick: int = 0  #: at which the last ramp ends
+    ramp_end_tick: int = 0  #: end of the last ramp
     effective: dict[str, Any] = field(default_factory=dict)  #: parameters in the shape of a `set`
-    guard: GuardVerdict | None = None  #: on it, if one was asked for
+    guard: GuardVerdict | None = None  #: on the change, if it was judged
 
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What may be asked for a field, both ends included."""
+    """The range of a field, both ends included."""
 
     low: float = 0.0  #: in `unit`
     high: float = 0.0  #: in `unit`
@@ -174,7 +176,7 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """Who answers: versions, limits, endpoints."""
+    """The identity of the daemon: versions, limits, endpoints."""
 
     rate_hz: float  #: of the servo
     simulated: bool
@@ -193,7 +195,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """What acts at a tick, on the way of every ramp."""
+    """The values that act at a tick, during ramps too."""
 
     tick: int = -1
     gain: float = 0.0
@@ -208,73 +210,73 @@ class InForce:
 class Get:
     """The parameters."""
 
-    #: as asked, ramps at their ends, in the shape of a `set`; units as in `Hello.limits`
+    #: at the ends of their ramps, in the shape of a `set`; units as in `Hello.limits`
     parameters: dict[str, Any] = field(default_factory=dict)
     in_force: InForce = InForce()
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseHeld:
-    """A lease that is held."""
+    """A held lease."""
 
     name: str = ""  #: of its holder
     actor: int = 0
-    left_s: float = 0.0  #: until it ends, if its holder asks for nothing
+    left_s: float = 0.0  #: until it ends, if its holder sends no request
     ttl_s: float = 0.0
     at_end: str = ""  #: zero, disable or hold
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseReleased:
-    """A lease that was given up."""
+    """A released lease."""
 
     what: str = ""
     released: bool = False  #: whether it was held until then
-    text: str = ""  #: how it ended
+    text: str = ""  #: the end of the lease, in words
 
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """From a sample to the force that it makes, in periods of the servo."""
+    """The delay from a sample to its force, in periods of the servo."""
 
-    counted_periods: float | None = None  #: on which the guard counts
-    counted: str = ""  #: measured, or assumed by the model
+    counted_periods: float | None = None  #: used by the guard
+    counted: str = ""  #: its source: measured, or assumed by the model
     measured_p99_periods: float | None = None
     model_periods: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class TimingCost:
-    """What the delay costs of K at a level of active damping, by the theorem."""
+    """The stiffness that the delay costs at a level of active damping, by the theorem."""
 
     level_ns_per_m: float = 0.0  #: of active damping
-    stiffness_n_per_m: float = 0.0  #: the largest that is passive
+    stiffness_n_per_m: float = 0.0  #: the largest passive one
     ideal_stiffness_n_per_m: float = 0.0  #: the same without the delay
     lost_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What the delay costs."""
+    """The cost of the delay."""
 
     delay_periods: float = 0.0
     ideal_delay_periods: float = 0.0
     without_active_damping: TimingCost = TimingCost()
     with_active_damping: TimingCost = TimingCost()
-    measured: bool = False  #: whether the delay is; else the model's
+    measured: bool = False  #: whether the delay was measured; otherwise that of the model
 
 
 @dataclass(frozen=True, slots=True)
 class GuardStatus:
-    """What the guard goes by, and its verdict on what is in force."""
+    """The terms of the guard, and its verdict on the environment in force."""
 
     policy: str = ""  #: off, warn, clamp, refuse, follow
     basis: str = ""  #: theorem, predicted, measured
-    margin_ns_per_m: float = 0.0  #: that has to be left
+    margin_ns_per_m: float = 0.0  #: required margin
     mode: str = ""  #: of the active damping: off, level, auto
-    worker: str = ""  #: "up", or why not
+    worker: str = ""  #: state of the worker: up, starting, down, none
     delay_periods: float | None = None
-    measuring: bool = False  #: whether somebody measures, so that nothing is judged
+    measuring: bool = False  #: whether the measuring lease is held, so that nothing is judged
     trouble: str = ""  #: of the worker
     pid: int | None = None  #: of the worker
     model: bool | None = None  #: whether the device has one
@@ -283,40 +285,40 @@ class GuardStatus:
     timing: Timing | None = None
     verdict: GuardVerdict | None = None
     unjudged: str = ""  #: why there is no verdict
-    waiting: int = 0  #: requests that are not judged yet
-    under_way: dict[str, Any] | None = None  #: the change of which stages are still to come
+    waiting: int = 0  #: requests not yet judged
+    under_way: dict[str, Any] | None = None  #: the change with remaining stages
 
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """What is compensated of the winding's resistance; None: not known without a sensor."""
+    """The compensation of the winding's resistance; None: unknown without a sensor."""
 
     compensated_ohm: float = 0.0
     tolerance_ohm: float = 0.0
     least_loop_gain: float = 0.0
     winding_c: float | None = None
     winding_ohm: float | None = None
-    residual_ohm: float | None = None  #: above 0 too little is compensated, below 0 too much
+    residual_ohm: float | None = None  #: above 0: compensation too low; below 0: too high
     loop_gain: float | None = None  #: at the level in effect; the circuit oscillates at -1
     loop_gain_at_ceiling: float | None = None  #: at the highest level of the device
 
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
-    """How much active damping the board delivers."""
+    """The active damping that the board delivers."""
 
-    basis: str = "unknown"  #: what the estimate rests on, or why there is none
+    basis: str = "unknown"  #: basis of the estimate, or why there is none
     commanded: float = 0.0  #: N s/m
     estimate_ns_per_m: float | None = None
     low: float | None = None  #: ends of the 95 % interval, N s/m
     high: float | None = None
-    ratio: float | None = None  #: of the estimate to what is commanded
-    seconds: float = 0.0  #: of the records that it rests on
+    ratio: float | None = None  #: of the estimate to the commanded damping
+    seconds: float = 0.0  #: duration of the records used
 
 
 @dataclass(frozen=True, slots=True)
 class StageTimes:
-    """How long a part of the tick takes."""
+    """The duration of a stage of the tick."""
 
     count: int = 0
     p50_us: float = 0.0
@@ -327,25 +329,25 @@ class StageTimes:
 
 @dataclass(frozen=True, slots=True)
 class LateTicks:
-    """Ticks that were late by one cause."""
+    """Ticks that were late for one cause."""
 
     count: int = 0
-    latest_us: float = 0.0  #: after its deadline the latest of them ended
+    latest_us: float = 0.0  #: largest delay of an end after its deadline
 
 
-LEAST_IDLE_SHARE = 0.25  # of a period, that a tick has to leave
+LEAST_IDLE_SHARE = 0.25  # of a period, required idle time
 
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """What a tick takes of its period, by the stages that were measured since the servo started.
+    """The share of the period that a tick takes, from the stages measured since the servo started.
 
-    A tick that takes nearly all of it is late whenever anything holds it up.
+    A tick that takes nearly the whole period is late at any disturbance.
     """
 
-    tick_us: float = 0.0  #: 0: not known yet
+    tick_us: float = 0.0  #: 0: not yet known
     period_us: float = 0.0
-    highest_rate_hz: float = 0.0  #: at which a quarter of the period is left; 0: not known yet
+    highest_rate_hz: float = 0.0  #: that leaves a quarter of the period; 0: not yet known
 
     @property
     def short(self) -> bool:
@@ -365,45 +367,45 @@ class Room:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Receipt):
-    """Something that happened, with the receipt of a change. What an event of its `kind` does not
-    tell has its default.
+    """An event, with the receipt of a change. Fields that an event of its `kind` does not contain
+    have their default.
     """
 
     kind: str = ""  #: see `journal`; a newer daemon may have others
     timestamp: float = 0.0  #: Unix time, s
     tick: int = -1
-    actor: int = 0  #: whose doing it was
+    actor: int = 0  #: number of the client that caused it
     name: str = ""  #: of that client
     before: str = ""  #: state of the servo until then
     fault: str = ""
     cause: str = ""  #: of the fault
-    action: str = ""  #: that was taken
+    action: str = ""  #: taken by the servo
     remedy: str = ""
-    cmd: str = ""  #: of the request that is answered, or that a hand would shake
+    cmd: str = ""  #: of the answered request, or of the one that a hand destabilises
     id: int | str | None = None  #: of that request
-    number: int = 0  #: of the verdict that the hand belongs to
+    number: int = 0  #: of the verdict to which the hand belongs
     hand: Hand | None = None  #: None: none was found
     seq: int = 0  #: of the record after a gap
     lost: int = 0  #: records in the gap
-    epoch: int = 0  #: monotonic time at which the servo started, ns
+    epoch: int = 0  #: monotonic time of the servo's start, ns
     path: str = ""  #: of a flight recording
-    reason: str = ""  #: why it was written
-    what: str = ""  #: that is leased
-    change: str = ""  #: of the lease: taken, or how it ended
-    by: str = ""  #: who took it over
-    excess_j: float | None = None  #: energy that leaked
-    tick_us: float = 0.0  #: that a tick takes of its period, where that is too much
+    reason: str = ""  #: of the recording
+    what: str = ""  #: subject of the lease
+    change: str = ""  #: of the lease: taken, or the kind of its end
+    by: str = ""  #: client that took it over
+    excess_j: float | None = None  #: leaked energy
+    tick_us: float = 0.0  #: duration of a tick that leaves too little of its period
     period_us: float = 0.0
     highest_rate_hz: float = 0.0  #: that would leave enough
-    address: str = ""  #: of a listener that was refused
-    times: int = 0  #: how often
-    text: str = ""  #: in words
+    address: str = ""  #: of a refused subscriber
+    times: int = 0  #: number of refusals
+    text: str = ""  #: description
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status(InForce):
-    """Everything about servo and gateway. What a record tells is 0, or -1 for a tick and a delay,
-    while no servo is alive.
+    """The state of servo and gateway. Values of a record are 0, or -1 for a tick and a delay, while
+    no servo is alive.
     """
 
     state: str = ""  #: disabled, enabled, homing, stopped, fault, starting, down
@@ -414,28 +416,28 @@ class Status(InForce):
     revision: int = 0
     fault: str = "none"
     cause: str = ""  #: of the fault
-    action: str = ""  #: that was taken
+    action: str = ""  #: taken by the servo
     remedy: str = ""
     waiting_for: str = ""  #: why the servo has no board
     instance: str = ""
-    epoch: int = 0  #: monotonic time at which the servo started, ns
+    epoch: int = 0  #: monotonic time of the servo's start, ns
     config_hash: str = ""
     slot: int = -1
     homed: int = 0
     perturbing: int = 0
     position_m: float = 0.0
     force_n: float = 0.0
-    #: from sample to force, and age of a frame when it was read, us: 99 of 100 of the last 256
-    #: ticks that had a frame did not exceed them
+    #: delay from sample to force, and age of a frame when it was read, us: 99th percentile of the
+    #: last 256 ticks with a frame
     delay_us: int = -1
     frame_age_us: int = -1
-    delay_spread_us: int = -1  #: greatest minus least delay of as many
+    delay_spread_us: int = -1  #: maximum minus minimum delay of the last 256 ticks
     winding_c: float | None = None
-    actor: int = 0  #: that changed something last
+    actor: int = 0  #: client of the last change
     actor_name: str = ""
     actors: dict[Any, str] = field(default_factory=dict)  #: names by number
     limit_cycle_faults: dict[str, str] = field(default_factory=dict)  #: on, or why off
-    commissioning: dict[str, Any] | None = None  #: what holds until the signs are verified
+    commissioning: dict[str, Any] | None = None  #: restrictions until the signs are verified
     compensation: Compensation | None = None
     leases: dict[str, LeaseHeld] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
@@ -443,12 +445,12 @@ class Status(InForce):
     stages: dict[str, StageTimes] = field(default_factory=dict)
     #: by cause (`mailbox.layout.LateCause`)
     late: dict[str, LateTicks] = field(default_factory=dict)
-    #: what a tick takes of its period
+    #: share of the period that a tick takes
     room: Room | None = None
     endpoints: dict[str, Any] = field(default_factory=dict)
-    #: of the servo process: the rights that it was granted, its board and bus
+    #: of the servo process: granted rights, board and bus
     servo: dict[str, Any] = field(default_factory=dict)
     gateway: dict[str, Any] = field(default_factory=dict)  #: its process and its relay
     guard: GuardStatus | None = None
     events: tuple[Event, ...] = ()  #: the last ones of the topic `event`
-    requests: dict[str, int] = field(default_factory=dict)  #: counts of them
+    requests: dict[str, int] = field(default_factory=dict)  #: counts of requests

@@ -1,8 +1,8 @@
-"""Who may connect from where.
+"""Access to the gateway, by address.
 
-Commands are taken on a socket file in the runtime folder: the file system says who. Telemetry is
-offered there and on the loopback; on any other address only with CURVE keys (`keys`), by the relay
-(`gateway.relay`), or when the configuration says `allow_insecure`, and then with a warning.
+Commands are accepted only on a socket file in the runtime folder, with the permissions of the file
+system. Telemetry is offered there and on the loopback. On other addresses it needs CURVE keys
+(`keys`) and the relay (`gateway.relay`), or `allow_insecure` in the configuration, with a warning.
 """
 
 import ipaddress
@@ -14,9 +14,9 @@ __all__ = ["LEAVE_NEEDED", "needs_keys", "warning", "without_leave"]
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is an address of this machine alone.
+    """Return whether `host` is an address of this machine alone.
 
-    Names other than localhost are not trusted to be.
+    Of names, only localhost counts.
     """
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -31,16 +31,16 @@ LEAVE_NEEDED = (
 
 
 def without_leave(params: GatewayParams) -> bool:
-    """Whether telemetry would leave the machine in the clear, and nobody has allowed that."""
+    """Return whether telemetry would leave the machine unencrypted without permission."""
     return not (
         is_loopback(params.tcp_host) or params.curve_keys is not None or params.allow_insecure
     )
 
 
 def warning(params: GatewayParams) -> str | None:
-    """What to warn of, None if nothing.
+    """Return the warning about the configuration, or None.
 
-    ConfigError if telemetry would leave the machine in the clear without leave.
+    ConfigError if telemetry would leave the machine unencrypted without permission.
     """
     if is_loopback(params.tcp_host) or params.curve_keys is not None:
         return None
@@ -53,5 +53,5 @@ def warning(params: GatewayParams) -> str | None:
 
 
 def needs_keys(params: GatewayParams) -> bool:
-    """Whether TCP is for those with a key."""
+    """Return whether TCP requires a key."""
     return params.curve_keys is not None and not is_loopback(params.tcp_host)

@@ -1,11 +1,11 @@
-"""Requests and replies: msgpack or JSON, told apart by the first byte, both within hard limits; a
-request with its envelope: who sent it, in which encoding, and where its reply goes.
+"""Encode and decode requests and replies in msgpack or JSON, within hard limits.
 
-`{` (0x7B) begins every JSON object and no msgpack map, so the test is exact; the reply comes in the
-encoding of the request. Nothing is trusted: keys must be text and appear once, arrays and maps are
-bounded before they are built, and of a request only its `id` is ever echoed, and only if it is
-small and plain. Numbers that are not finite are left to the schema, which names the field: a stop
-is a stop whatever else the message holds.
+A request comes with its envelope: sender, encoding and return path. `{` (0x7B) starts every JSON
+object and no msgpack map, so the first byte identifies the encoding; the reply has the encoding of
+the request. No input is trusted: keys must be text and unique, and arrays and maps are bounded
+before they are built. Only the `id` of a request is ever echoed, and only if it is short and plain.
+Non-finite numbers are left to the schema, which gives the field in its error: a stop is valid
+whatever else the message contains.
 """
 
 import json
@@ -41,19 +41,19 @@ RequestId = int | str | None
 
 
 class Encoding(Enum):
-    """How a message is written."""
+    """The encoding of a message."""
 
     MSGPACK = "msgpack"
     JSON = "json"
 
 
 def encoding_of(payload: bytes) -> Encoding:
-    """JSON if the first byte is `{`, else msgpack."""
+    """Return JSON if the first byte is `{`, otherwise msgpack."""
     return Encoding.JSON if payload[:1] == b"{" else Encoding.MSGPACK
 
 
 def decode(payload: bytes) -> dict[str, Any]:
-    """The request map in `payload`. CommandError `malformed` says what is wrong with it."""
+    """Return the request map in `payload`. CommandError `malformed`, with the reason."""
     try:
         if encoding_of(payload) is Encoding.JSON:
             found = json.loads(payload.decode(), object_pairs_hook=_table)
@@ -76,9 +76,9 @@ def decode(payload: bytes) -> dict[str, Any]:
 
 
 def encode(encoding: Encoding, content: Any) -> bytes:
-    """`content` as bytes; numbers that are not finite become null.
+    """Return `content` as bytes; non-finite numbers become null.
 
-    It may hold maps with text keys, lists, numbers, text and None.
+    It may contain maps with text keys, lists, numbers, text and None.
     """
     content = finite(content)
     if encoding is Encoding.JSON:
@@ -87,9 +87,9 @@ def encode(encoding: Encoding, content: Any) -> bytes:
 
 
 def request_id(value: Any) -> RequestId:
-    """`value` if it may be echoed, else ValueError.
+    """Return `value` if it may be echoed; ValueError otherwise.
 
-    That is an int in [0, 2^53), printable ASCII of at most 64 characters, or None.
+    Valid are an int in [0, 2^53), printable ASCII of at most 64 characters, and None.
     """
     if value is None or (type(value) is int and 0 <= value < ID_LIMIT):
         return value
@@ -106,7 +106,7 @@ def request_id(value: Any) -> RequestId:
 
 
 def echo_id(request: dict[str, Any]) -> RequestId:
-    """The id to answer with: that of the request, or None when it may not be echoed."""
+    """Return the id for the reply: that of the request, or None if it may not be echoed."""
     try:
         return request_id(request.get("id"))
     except ValueError:
@@ -114,14 +114,14 @@ def echo_id(request: dict[str, Any]) -> RequestId:
 
 
 def shown(value: Any, most: int = SHOWN) -> str:
-    """A foreign value in printable ASCII, cut to `most` characters."""
+    """Return a foreign value in printable ASCII, cut to `most` characters."""
     text = value if isinstance(value, str) else reprlib.repr(value)
     text = text[: 2 * most].encode("ascii", "backslashreplace").decode()
     return text if len(text) <= most else text[:most] + "..."
 
 
 def malformed(reason: str) -> CommandError:
-    """The error for bytes that are no request."""
+    """Return the error for bytes that are not a request."""
     return CommandError(
         "malformed",
         f"not a request: {reason}; send one msgpack or JSON map within {MAX_MESSAGE_BYTES} bytes",
@@ -129,7 +129,7 @@ def malformed(reason: str) -> CommandError:
 
 
 def finite(content: Any) -> Any:
-    """`content` with every number that is not finite replaced by None."""
+    """Return `content` with every non-finite number replaced by None."""
     if isinstance(content, dict):
         return {key: finite(value) for key, value in content.items()}
     if isinstance(content, (list, tuple)):
@@ -147,7 +147,7 @@ def _table(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
 
 
 class RequestMessage(NamedTuple):
-    """A request with its envelope, and what is wrong with it if something is."""
+    """A request with its envelope, and its error if it is invalid."""
 
     envelope: tuple[bytes, ...]
     encoding: Encoding
@@ -162,14 +162,14 @@ class RequestMessage(NamedTuple):
         return self.envelope[0]
 
     def reply(self, content: dict[str, Any]) -> list[bytes]:
-        """Frames of the reply `content`, to which the id is added."""
+        """Return the frames of the reply `content`, with the id added."""
         return [*self.envelope, encode(self.encoding, {"id": self.id} | content)]
 
 
 def unpacked(frames: Sequence[bytes]) -> RequestMessage:
-    """The request in `frames`: client identity, delimiter, payload. Never raises.
+    """Return the request in `frames`: client identity, delimiter, payload. Never raises.
 
-    The delimiter is empty, and is there only if a REQ socket sent the request.
+    The delimiter is empty, and present only if a REQ socket sent the request.
     """
     identity, *rest = frames
     delimiter = tuple(rest[:-1])
@@ -194,5 +194,5 @@ def unpacked(frames: Sequence[bytes]) -> RequestMessage:
     )
 
 
-# stands for the request of what the gateway does by itself
+# the request of changes by the gateway itself
 INTERNAL_REQUEST = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)

@@ -1,16 +1,16 @@
-"""What stands between a client and the servo: interlocks, and requests as commands of the mailbox.
+"""Interlocks between client and servo, and requests as commands of the mailbox.
 
-A request becomes a posting (kind, tick, doubles) for the mailbox's command ring, and the mailbox's
-answer becomes the receipt or refusal in a reply. Before that it passes three interlocks (`admit`),
-each of which asks one question. The first one that objects answers.
+A request becomes a posting (kind, tick, doubles) for the mailbox's command ring. The mailbox's
+answer becomes the receipt or refusal in the reply. Before that the request passes three interlocks
+(`admit`); the first that refuses determines the error.
 
     schema     is it a command, complete, within the limits of this device?
     state      would the servo refuse it anyway in its present state? (Only an early, better
                explained answer: the servo decides.)
-    lease      may this client change this now, or does another hold it?
+    lease      may this client make the change now, or does another hold the lease?
 
-Whether the display would still be passive is asked of another process, and waited for: see
-`guard.request_queue`. STOP passes none of them.
+The check for passivity runs in another process, see `guard.request_queue`. STOP skips all
+interlocks.
 """
 
 from dataclasses import replace
@@ -58,7 +58,7 @@ __all__ = [
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 ALLOWED: dict[
     str, tuple[State, ...]
-] = {  # what the servo's safety table allows; the others are allowed in every state
+] = {  # from the servo's safety table; the other commands are allowed in every state
     "enable": (State.DISABLED, State.ENABLED),
     "reset": (State.DISABLED, State.STOPPED, State.FAULT),
     "zero": (State.DISABLED,),
@@ -66,14 +66,14 @@ ALLOWED: dict[
     "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
-# fields of a change that are no parameters; the last two have places of their own
+# fields of a change that are not parameters; the last two have separate slots
 NO_VALUES = {*Change.model_fields, "cmd", "limit_cycle_faults", "until_tick"}
 MOVING = ("enable", "home", "zero", "withhold")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
 
 def posting(request: Request, samples: int) -> Posting:
-    """What to post for `request`; `samples` is the length of the waveform that is loaded."""
+    """Return the posting for `request`; `samples` is the length of the loaded waveform."""
     if isinstance(request, Set):
         return Command.SET, request.at_tick or 0, values_of(values_given(request.given))
     if isinstance(request, Damping):
@@ -92,16 +92,17 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def change_posting(given: dict[str, Any], at_tick: int, judged: dict[Value, float]) -> Posting:
-    """What to post for a change whose fields, nested as in `set`, are `given`, with what it was
-    `judged` for. Active damping alone has a command of its own.
+    """Return the posting for a change with the fields `given`, nested as in `set`. `judged`
+    contains the revision and terms of the judgement. Active damping alone has its own command.
     """
     kind = Command.DAMPING if given.keys() == {"active_damping"} else Command.SET
     return kind, at_tick, values_of(judged | values_given(given))
 
 
 def values_given(given: dict[str, Any]) -> dict[Value, float]:
-    """The doubles of a change whose fields, nested as in `set`, are `given`. CommandError for a
-    field that a command has no place for.
+    """Return the doubles of a change with the fields `given`, nested as in `set`.
+
+    CommandError for a field without a slot in a command.
     """
     asked = {name: value for name, value in given.items() if name not in NO_VALUES}
     if unknown := [name for name, _ in flat(asked) if name not in PLACES]:
@@ -115,10 +116,8 @@ def values_given(given: dict[str, Any]) -> dict[Value, float]:
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
-    """Active damping `on` | `off` | `auto` | level.
-
-    A level switches it on; 0 switches it off and keeps the level for the next `on`; `auto` by
-    itself leaves it as it is.
+    """Return the values of active damping `on` | `off` | `auto` | level. A level switches it on; 0
+    switches it off and keeps the level for the next `on`; `auto` alone leaves it unchanged.
     """
     if asked in (None, "auto"):
         return {}
@@ -128,7 +127,7 @@ def _switched(asked: str | float | None) -> dict[Value, float]:
 
 
 def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
-    """The parameters of an answer in the shape of a `set`, ramps at their ends.
+    """Return the parameters of an answer in the shape of a `set`, at the ends of their ramps.
 
     Active damping is as quantised on the wire.
     """
@@ -139,16 +138,16 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
 
 def rendered(effective: tuple[float, ...]) -> Environment:
-    """What is rendered by the doubles of an answer: its level acts only while it is on."""
+    """Return the environment in the doubles of an answer; its damping is 0 unless switched on."""
     found = Environment().from_row(effective)
     level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
     return replace(found, active_damping_ns_per_m=level)
 
 
 def receipt(answer: Answer) -> dict[str, Any]:
-    """The receipt of an accepted command.
+    """Return the receipt of an accepted command.
 
-    `effective` are the parameters in force when it was written.
+    `effective` contains the parameters in force when it was written.
     """
     return {
         "result": answer.result.name.lower(),
@@ -163,7 +162,7 @@ PRESSED = "the emergency stop is pressed, so the board makes no force"
 
 
 def withheld(status: int) -> str:
-    """Why a board with this `status` would not grant torque, and what to do."""
+    """Return why a board with this `status` would not grant torque, with the remedy."""
     if status & StatusBit.EMERGENCY_STOP:
         return f"{PRESSED}; release it, then enable"
     return (
@@ -173,7 +172,7 @@ def withheld(status: int) -> str:
 
 
 def persisting(fault: Fault, status: int) -> str:
-    """What bars a reset from `fault` on a board with this `status`."""
+    """Return why a reset from `fault` is refused on a board with this `status`."""
     if status & StatusBit.EMERGENCY_STOP:
         return f"{PRESSED}; release it, then ask again"
     cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
@@ -181,7 +180,7 @@ def persisting(fault: Fault, status: int) -> str:
 
 
 def held(answer: Answer, view: ServoView, actors: Actors) -> str:
-    """Whose stop bars a reset, and how long."""
+    """Return whose stop prevents a reset, and for how long."""
     number = int(answer.effective[Value.STOP_OWNER])
     name = actors.name(number) or "a client that has gone"
     whose = f"{name} (actor {number})" if number else "more than one client"
@@ -193,7 +192,7 @@ def held(answer: Answer, view: ServoView, actors: Actors) -> str:
 
 
 def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> CommandError:
-    """Why the servo refused `cmd`, and what to do about it."""
+    """Return why the servo refused `cmd`, with the remedy."""
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
     status = int(view.record.get("status", 0))
     texts = {
@@ -248,7 +247,7 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
         ),
         Result.REFUSED_REVISION: (
             "refused",
-            "what is rendered or damped has changed since this was judged; ask again",
+            "the environment or active damping has changed since this was judged; repeat it",
         ),
         Result.REFUSED_TERMS: (
             "refused",
@@ -270,7 +269,6 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
 
 
 def _barred(result: Result, view: ServoView) -> str:
-    """Why the board may make no force, as the servo's report has it."""
     report = view.mailbox.report() if view.mailbox else {}
     if result is Result.REFUSED_DEVICE:
         differences = "; ".join(report.get("differences", ()))
@@ -287,7 +285,7 @@ def _barred(result: Result, view: ServoView) -> str:
 
 
 def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
-    """The error for a command that the present state does not allow."""
+    """Return the error for a command that the present state does not allow."""
     if view.state in LATCHED:
         by = actors.name(view.led_by) if view.state is State.STOPPED else ""
         cause = f"by {by}" if by else view.fault.cause
@@ -309,23 +307,23 @@ def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
 
 
 class Situation(NamedTuple):
-    """What an interlock may look at.
+    """The state that interlocks may examine.
 
-    `settled`: no command is on its way, so the newest record tells the state.
+    `settled`: no command is outstanding, so the newest record has the state.
     """
 
     limits: CommandLimits
     view: ServoView
     settled: bool
-    samples: int  # of the waveform that is loaded
+    samples: int  # of the loaded waveform
     leases: Leases
     actors: Actors
 
 
 def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
-    """The request in `plain` once every interlock has let it pass.
+    """Return the request in `plain` if every interlock accepts it.
 
-    CommandError by the first that does not.
+    CommandError of the first interlock that refuses.
     """
     request = parse(plain, situation.limits)
     _check_state(request, situation)
@@ -335,7 +333,7 @@ def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
 
 
 def _check_state(request: Request, situation: Situation) -> None:
-    """Refuse early what the servo would refuse in the state it is in."""
+    """Refuse early the requests that the servo would refuse in its present state."""
     view = situation.view
     if isinstance(request, Change):
         _check_revision(request, situation)
@@ -354,8 +352,8 @@ def _check_state(request: Request, situation: Situation) -> None:
 
 
 def forbidden(request: Request | None, actor: int, leases: Leases) -> CommandError | None:
-    """Why `actor` may not change what is asked: it is another's, or was the client's until it lost
-    its lease; None if it may.
+    """Return why `actor` may not make the change; None if it may. Another client holds the lease,
+    or this client has lost its own.
     """
     for what in changed_parts(request):
         if found := leases.may(actor, what):
@@ -365,9 +363,9 @@ def forbidden(request: Request | None, actor: int, leases: Leases) -> CommandErr
 
 
 def changed_parts(request: Request | None) -> tuple[str, ...]:
-    """The parts of the display, by their leases, that `request` changes.
+    """Return the parts of the display, by their leases, that `request` changes.
 
-    Disable, stop and reset are nobody's: they are taken from anyone.
+    Disable, stop and reset belong to no lease: any client may send them.
     """
     if isinstance(request, Set):
         rest = request.given.keys() & {*JUDGED, "limit_cycle_faults"} - {"active_damping"}

@@ -1,6 +1,7 @@
-"""Why the guard decided so: an outcome, typed reasons and remedies, and the sentence made of them.
+"""The explanation of a verdict: an outcome, typed reasons and remedies, and the sentence made of
+them.
 
-Programs read the codes. The texts are for people: reasons stand one after the other, remedies are
+Programs read the codes. The texts are for users: reasons follow each other, remedies are
 alternatives and are joined by "or".
 """
 
@@ -13,12 +14,12 @@ __all__ = ["Explanation", "Outcome", "Reason", "Remedy", "because", "explanation
 
 
 class Outcome(StrEnum):
-    """What became of a change, or what is known of an environment."""
+    """The outcome of a change, or the judgement of an environment."""
 
     SAFE = "safe"
     UNSAFE = "unsafe"
-    SAFER = "safer"  # not safe, and safer than what is in force
-    WARNING = "warning"  # not safe, and done
+    SAFER = "safer"  # not safe, but safer than the environment in force
+    WARNING = "warning"  # not safe, but applied
     CLAMPED = "clamped"
     FOLLOWED = "followed"
     REFUSED = "refused"
@@ -59,7 +60,7 @@ class Remedy(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A reason or a remedy: the code of a `Reason` or `Remedy`, and words for people."""
+    """A reason or a remedy: the code of a `Reason` or `Remedy`, and its text for users."""
 
     code: str
     text: str
@@ -67,28 +68,30 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Reasons, and remedies of which one would do."""
+    """Reasons, and alternative remedies."""
 
     reasons: tuple[Entry, ...]
     remedies: tuple[Entry, ...] = ()
 
     def and_reason(self, code: Reason, text: str) -> "Explanation":
-        """With one more reason."""
+        """Return it with one more reason."""
         return Explanation((*self.reasons, Entry(code, text)), self.remedies)
 
     def and_remedy(self, code: Remedy, text: str) -> "Explanation":
-        """With one more remedy."""
+        """Return it with one more remedy."""
         return Explanation(self.reasons, (*self.remedies, Entry(code, text)))
 
     def lines(self, outcome: str, between: Iterable[str] = ()) -> list[str]:
-        """One thought a line: what is wrong, then what stands `between`, then the rest."""
+        """Return one statement a line: the first reason, then the lines `between`, then
+        the rest.
+        """
         reasons = [one.text for one in self.reasons] or ["the guard gave no reason"]
         prefix = f"{outcome}: " if outcome in _NAMED else ""
         remedy = ", or ".join(one.text for one in self.remedies)
         return [f"{prefix}{reasons[0]}", *between, *reasons[1:], *([remedy] if remedy else [])]
 
     def plain(self, outcome: Outcome) -> dict[str, Any]:
-        """The fields of a verdict that tell it."""
+        """Return the fields of a verdict for it."""
         return {
             "outcome": outcome.value,
             "reasons": [asdict(one) for one in self.reasons],
@@ -101,12 +104,12 @@ _NAMED = (Outcome.WARNING, Outcome.CLAMPED, Outcome.FOLLOWED, Outcome.REFUSED)  
 
 
 def because(code: Reason, text: str) -> Explanation:
-    """The explanation by one reason."""
+    """Return the explanation with one reason."""
     return Explanation((Entry(code, text),))
 
 
 def explanation_of(verdict: Mapping[str, Any]) -> Explanation:
-    """The explanation in the map of a verdict; without reasons where it has none."""
+    """Return the explanation in the map of a verdict."""
     reasons, remedies = (
         tuple(Entry(one["code"], one["text"]) for one in verdict.get(name, ()))
         for name in ("reasons", "remedies")

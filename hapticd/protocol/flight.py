@@ -1,21 +1,21 @@
-"""The flight recorder: the last minute at every tick with raw frames, and what a replay needs.
+"""The flight recorder: the last minute at every tick with raw frames, and the data for a replay.
 
-It is dumped at faults and on demand. It keeps the blocks that were read from the telemetry ring,
-the requests that the servo noted, and a checkpoint of the servo's state every 10 s; since a replay
-begins at a checkpoint it keeps 10 s more than is asked. A fault is written a second later, with its
-aftermath; what a servo left that fell silent under force, at once. Files are written by a thread of
-their own, from bytes that nobody changes: a slow disk delays the file and not the heartbeat. The
-newest FILES_KEPT files are kept, and one is written at a time: who asks for another meanwhile is
-told so, a fault waits for its turn.
+It is dumped at faults and on request. It keeps the blocks read from the telemetry ring, the
+requests noted by the servo, and a checkpoint of the servo's state every 10 s. A replay starts at a
+checkpoint, so it keeps 10 s more than configured. A fault is written 1 s later, with its aftermath;
+the records of a servo that fell silent under force are written at once. A separate thread writes
+files from immutable bytes, so a slow disk delays the file and not the heartbeat. The newest
+FILES_KEPT files are kept. One file is written at a time: a further request is refused meanwhile,
+and a fault waits.
 
-A file holds records and all that replaying them needs, and is written whole or not at all:
+A file contains records and everything to replay them, and is written completely or not at all:
 
     hapticd-flight/1 LF | bytes of header, u64 little-endian | header, JSON | records of `descr`
 
 header: reason, written_utc, version, simulated, rate_hz, epoch, mono_unix_offset_ns, descr, servo
-(params.ServoParams), report (rights granted, board), leases {what: holder} when it was dumped, gaps
-[[row, lost]], checkpoints [[tick, state]], requests [[tick, seq, kind, actor, apply_tick, values]],
-breaks [tick]: requests were lost there, so no replay leads over it.
+(params.ServoParams), report (rights granted, board), leases {what: holder} at the dump, gaps [[row,
+lost]], checkpoints [[tick, state]], requests [[tick, seq, kind, actor, apply_tick, values]], breaks
+[tick]: requests were lost there, so no replay continues across it.
 """
 
 import json
@@ -59,16 +59,16 @@ _LENGTH = struct.Struct("<Q")
 
 
 class Flight(NamedTuple):
-    """What is in such a file."""
+    """The content of a flight recording."""
 
     header: dict[str, Any]
     records: Records
 
 
 def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) -> None:
-    """Write `header` and the records in `blocks` to `path`, whose folder is made.
+    """Write `header` and the records in `blocks` to `path`; create its folder.
 
-    OSError: no room, no right.
+    OSError: no space, no permission.
     """
     path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
@@ -82,14 +82,16 @@ def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) ->
 
 
 def with_header(magic: bytes, header: Mapping[str, Any]) -> bytes:
-    """The beginning of a file of raw records: `magic`, the length of the header, `header`."""
+    """Return the beginning of a file of raw records: `magic`, the length of the header,
+    `header`.
+    """
     text = _header_text(header).encode()
     return magic + _LENGTH.pack(len(text)) + text
 
 
 def read_header(data: bytes | memoryview, magic: bytes) -> tuple[dict[str, Any], int]:
-    """The header of a file of raw records that begins with `magic`, and the offset [bytes] of the
-    first record. struct.error or ValueError: it is damaged.
+    """Return the header of a file of raw records that starts with `magic`, and the offset [bytes]
+    of the first record. struct.error or ValueError: the file is damaged.
     """
     (length,) = _LENGTH.unpack_from(data, len(magic))
     begin = len(magic) + _LENGTH.size
@@ -97,7 +99,9 @@ def read_header(data: bytes | memoryview, magic: bytes) -> tuple[dict[str, Any],
 
 
 def _header_text(header: Mapping[str, Any]) -> str:
-    """`header` as JSON, its lists one item at a time: while one is encoded no other thread runs."""
+    """Return `header` as JSON, with lists encoded item by item: encoding blocks all
+    other threads.
+    """
     fields = (f"{json.dumps(name)}: {_value_text(value)}" for name, value in header.items())
     return "{" + ", ".join(fields) + "}"
 
@@ -109,12 +113,12 @@ def _value_text(value: Any) -> str:
 
 
 def dtype_of(descr: Iterable[Sequence[Any]]) -> np.dtype[Any]:
-    """The type of records, from its description in a header."""
+    """Return the dtype of records, from its description in a header."""
     return np.dtype([(name, kind, *map(tuple, shape)) for name, kind, *shape in descr])
 
 
 def read_flight(path: Path) -> Flight:
-    """The flight in `path`. ConfigError if it is none, or cut short."""
+    """Return the flight in `path`. ConfigError if it is not one, or truncated."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -133,12 +137,12 @@ def read_flight(path: Path) -> Flight:
 CHECKPOINT_S = 10
 AFTERMATH_NS = NS_PER_S
 FILES_KEPT = 20
-REQUESTS_KEPT = 20_000  # some 18 MB; where older ones had to go no replay leads over
+REQUESTS_KEPT = 20_000  # about 18 MB; no replay continues across dropped ones
 UNDER_FORCE = (State.ENABLED, State.HOMING)
 
 
 class FlightRecorder:
-    """Keeps the last `setup.gateway.flight_s` seconds of `view`'s servo; dumps go into `folder`."""
+    """Keep the last `setup.gateway.flight_s` seconds of `view`'s servo; dumps go into `folder`."""
 
     def __init__(
         self,
@@ -171,13 +175,13 @@ class FlightRecorder:
         self._breaks: deque[int] = deque()
         self._journal_tail = self._checkpoints_read = 0
         self._asked_ns = -CHECKPOINT_S * NS_PER_S
-        # when to dump, and why
+        # time and reason of the next dump
         self._state = 0
         self._due = (0, "")
         self._report: dict[str, Any] = {}
 
     def begin(self, origin: Origin) -> None:
-        """Another servo life."""
+        """Start another servo life."""
         self._write_if_silent()
         self._clear()
         self._origin = origin
@@ -187,13 +191,13 @@ class FlightRecorder:
             self._report = self._view.mailbox.report()
 
     def ask(self) -> None:
-        """Someone wants to begin a flight here: have the servo leave a checkpoint soon."""
+        """Request a checkpoint soon, for a recording that starts here."""
         self._asked_ns = -CHECKPOINT_S * NS_PER_S
 
     def follow(self, now_ns: int) -> dict[str, Any] | None:
-        """Read what the servo noted; ask for a checkpoint when it is time.
+        """Read the notes of the servo; request a checkpoint when due.
 
-        What is new, as a payload; None if nothing is.
+        Return new notes as a payload; None without any.
         """
         mailbox = self._view.mailbox
         self._tell()
@@ -222,13 +226,12 @@ class FlightRecorder:
         }
 
     def _write_if_silent(self) -> None:
-        """Write what a servo left that fell silent under force."""
         if self._state in UNDER_FORCE:
             self._state = State.DISABLED
             self.dump("servo_silent")
 
     def add(self, block: RingBlock, now_ns: int) -> None:
-        """Keep `block`, forget what has become too old, and note a fault in it."""
+        """Keep `block`, forget blocks that are too old, and note a fault in it."""
         self._blocks.append(block)
         self._records += len(block.records)
         while self._records - len(self._blocks[0].records) >= self._kept_ticks:
@@ -258,7 +261,7 @@ class FlightRecorder:
             self._breaks.popleft()
 
     def dump_if_due(self, now_ns: int) -> None:
-        """Write the recording of a fault whose aftermath is in."""
+        """Write the recording of a fault once its aftermath is complete."""
         due_ns, reason = self._due
         if due_ns and now_ns >= due_ns and not self._writing:
             self._due = 0, ""
@@ -269,7 +272,7 @@ class FlightRecorder:
         return any(one.is_alive() for one in self._threads)
 
     def dump_asked(self) -> dict[str, Any]:
-        """As `dump`, for a client. CommandError also while one is being written."""
+        """Call `dump` for a client. CommandError also while a recording is being written."""
         if self._writing:
             raise CommandError(
                 "busy", "dump: a recording is being written; its event `flight` tells when it is"
@@ -277,11 +280,9 @@ class FlightRecorder:
         return self.dump("asked")
 
     def dump(self, reason: str) -> dict[str, Any]:
-        """Begin to write what is kept; {path, records, reason}.
+        """Start to write the kept records; return {path, records, reason}.
 
-        An event `flight` tells when it is done.
-
-        CommandError when nothing is kept.
+        An event `flight` reports the end. CommandError if there are no records.
         """
         if not self._records:
             raise CommandError(
@@ -321,7 +322,7 @@ class FlightRecorder:
         }
 
     def _write(self, path: Path, header: dict[str, Any], blocks: list[bytes], reason: str) -> None:
-        """In a thread: nothing here is shared but the queue of results."""
+        """Write the file, in a thread: only the queue of results is shared."""
         event = {"reason": reason, "path": str(path)}
         try:
             write_flight(path, header, blocks)
@@ -343,15 +344,15 @@ class FlightRecorder:
                 self._journal.note("flight", **event)
 
     def close(self) -> None:
-        """Finish what is being written."""
+        """Finish the recordings being written."""
         for thread in self._threads:
             thread.join()
         self._tell()
 
 
 def flights_folder(instance: str) -> Path:
-    """Where flight recordings of `instance` go: $STATE_DIRECTORY (systemd),
-    $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd.
+    """Return the folder for flight recordings of `instance`. It is in $STATE_DIRECTORY (systemd),
+    $XDG_STATE_HOME/hapticd, or ~/.local/state/hapticd.
     """
     service = os.environ.get("STATE_DIRECTORY")
     state = (

@@ -1,11 +1,11 @@
-"""The files of CURVE keys: how they are made, and what a gateway reads of them.
+"""The files of CURVE keys: how to create them, and how a gateway reads them.
 
-    server.key, server.key_secret   the gateway's pair; the public half is handed out
-    clients/NAME.key                public keys of those who may listen
-    NAME.key_secret                 at the listener alone
+    server.key, server.key_secret   the gateway's pair; clients need the public key
+    clients/NAME.key                public keys of allowed subscribers
+    NAME.key_secret                 on the subscriber's computer only
 
-A secret that another account may read is refused. So are new keys over keys whose other half is
-given away.
+A secret key that another account may read is refused. Existing keys are never overwritten, because
+their other half is in use elsewhere.
 """
 
 import os
@@ -34,13 +34,13 @@ SERVER = "server"
 SERVER_PUBLIC = "server.key"
 SERVER_KEY = "server.key_secret"
 CLIENTS = "clients"
-KEY_NAME = re.compile(r"[^.].*\.key")  # one that is being written begins with a dot
+KEY_NAME = re.compile(r"[^.].*\.key")  # unfinished files start with a dot
 
 
 def server_pair(folder: Path) -> tuple[bytes, bytes]:
-    """The gateway's own pair; (public, secret), 40 characters of Z85 each.
+    """Return the gateway's own pair: (public, secret), 40 characters of Z85 each.
 
-    ConfigError: the folder is incomplete, a key is none, or the secret is readable by others.
+    ConfigError: the folder is incomplete, a key is invalid, or others may read the secret.
     """
     clients = folder / CLIENTS
     if not clients.is_dir():
@@ -57,9 +57,9 @@ def server_pair(folder: Path) -> tuple[bytes, bytes]:
 
 
 def secret_pair(path: Path) -> tuple[bytes, bytes]:
-    """The pair in a file of a secret; (public, secret).
+    """Return the pair in a file with a secret key: (public, secret).
 
-    ConfigError: it is readable by others, or no such file.
+    ConfigError: others may read it, or the file does not exist.
     """
     try:
         if path.stat().st_mode & 0o077:
@@ -73,7 +73,7 @@ def secret_pair(path: Path) -> tuple[bytes, bytes]:
 
 
 def public_key(path: Path) -> bytes:
-    """The public key in a file. ConfigError: it holds none."""
+    """Return the public key in a file. ConfigError: it contains none."""
     return _loaded(path)[0]
 
 
@@ -85,21 +85,21 @@ def _loaded(path: Path) -> tuple[bytes, bytes | None]:
 
 
 class Clients:
-    """Who may listen: names by public key, read again when what stands in a file has changed."""
+    """Names of allowed subscribers by public key; changed files are read again."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / CLIENTS
         self._content: dict[Path, bytes | str] = {}
         self._names: dict[bytes, str] = {}
-        self.unreadable: dict[str, str] = {}  # why, by name: files that let nobody in
+        self.unreadable: dict[str, str] = {}  # reason by name of each unusable file
 
     def name(self, key: bytes) -> str:
-        """The name that `key` (Z85) is known by; empty for one that is not."""
+        """Return the name for `key` (Z85); empty if it is unknown."""
         self.look()
         return self._names.get(key, "")
 
     def look(self) -> None:
-        """Read again what has changed."""
+        """Read changed files again."""
         content = _contents(self._folder)
         if content == self._content:
             return
@@ -116,8 +116,8 @@ class Clients:
 
 
 def _contents(folder: Path) -> dict[Path, bytes | str]:
-    """What stands in each file of a key in `folder`, or why it cannot be read; the same of the
-    folder itself.
+    """Return the content of each key file in `folder`, or the reason why it, or the folder, cannot
+    be read.
     """
     found: dict[Path, bytes | str] = {}
     try:
@@ -133,10 +133,10 @@ def _contents(folder: Path) -> dict[Path, bytes | str]:
 
 
 def make_keys(folder: Path) -> tuple[Path, Path]:
-    """A server key pair and an empty folder for clients in `folder`; (public, secret).
+    """Create a server key pair and an empty folder for clients in `folder`; return (public,
+    secret).
 
-    The secret is readable by its owner alone. ConfigError where there is a pair already, or nothing
-    can be written.
+    Only its owner may read the secret. ConfigError if a pair exists, or on a write error.
     """
     public = folder / SERVER_PUBLIC
     secret = folder / SERVER_KEY
@@ -148,9 +148,10 @@ def make_keys(folder: Path) -> tuple[Path, Path]:
 
 
 def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
-    """A listener's pair: the public key in the clients of `folder`, the secret in `out`; (public,
-    secret). ConfigError as `make_keys`, for a folder without a server's pair, and for a name that
-    is no name of a file.
+    """Create a subscriber's pair: the public key in the clients of `folder`, the secret in `out`.
+
+    Return (public, secret). ConfigError as `make_keys`, for a folder without a server's pair, and
+    for an invalid file name.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ConfigError(
@@ -168,7 +169,7 @@ def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
         (folder / CLIENTS).mkdir(exist_ok=True)
         files = zmq.auth.create_certificates(made, name)
         for file, target in zip(files, (public, secret), strict=True):
-            # whole from the first moment on: the gateway reads a key that appears
+            # rename complete files: the gateway reads a key as soon as it appears
             unfinished = target.with_name(f".{target.name}.new")
             shutil.move(file, unfinished)
             os.replace(unfinished, target)
@@ -176,7 +177,9 @@ def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
 
 
 def _free(*files: Path) -> None:
-    """ConfigError if one of `files` is there: whoever has its other half would be locked out."""
+    """Raise ConfigError if one of `files` exists: the owner of its other half would be
+    locked out.
+    """
     for file in files:
         if file.exists():
             raise ConfigError(
@@ -187,7 +190,7 @@ def _free(*files: Path) -> None:
 
 @contextmanager
 def _private(folder: Path) -> Iterator[None]:
-    """What is written meanwhile is its owner's alone: pyzmq writes a key as the umask allows."""
+    """Let only the owner access new files: pyzmq creates key files with the default umask."""
     before = os.umask(0o077)
     try:
         yield

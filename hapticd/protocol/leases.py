@@ -1,26 +1,26 @@
-"""Who may change what: leases, each held by one client for as long as it shows that it lives.
+"""Leases: the exclusive right of a client to change a part of the display, as long as it is alive.
 
-There are four. `environment` is what is rendered and whether force is on, `damping` the active
-damping and its mode, `perturbation` the waveform over both; `measuring` is all three, and while it
-is held nothing judges what is asked for and no energy fault ends it. While nobody holds a part
-anyone may change it. A holder is a connection, not a name: two clients of one name are two.
+There are four. `environment` covers the rendered environment and the force switch, `active_damping`
+the damping and its mode, `perturbation` the waveform, and `measuring` all three. While `measuring`
+is held, nothing is judged and the energy faults are off. Any client may change a part without a
+holder. A holder is a connection, not a name: two clients of one name are two holders.
 
-    taken        by anyone while no other holds any of it; else only with `take_over`
-    renewed      by whatever its holder asks, for `ttl` from then on
+    taken        by any client while no other holds any of it; otherwise only with `take_over`
+    renewed      by every request of its holder, for `ttl` from then on
     taken over   its former holder is refused from then on
-    silent       nothing was asked for `ttl`: it ends
-    gone         the connection ended, so the client has died or left: it ends at once
+    silent       no request for `ttl`: it ends
+    gone         the connection ended because the client died or left: it ends at once
     released     by its holder
 
-Who lost a lease is refused what it covered, even when nobody holds it now, until he takes or
-releases it himself: what he believes of the display is no longer so. Stop, disable and reset ask
-nobody.
+A client that lost a lease is refused the parts it covered, even without a new holder, until it
+takes or releases the lease itself: its knowledge of the display is outdated. Stop, disable and
+reset need no lease.
 
-Pure: the time is passed in. Only time in which the gateway listened counts: a pass that comes late,
-or a clock that jumps, puts all ends off by as much, for nobody could be heard meanwhile.
+The module is pure: the time is an argument. Only time during which the gateway received requests
+counts. A late pass or a jump of the clock postpones all ends by as much.
 
-The actor number of a connection must not change (`journal.Actors` keeps it). A caller must ask
-`may` before it changes anything.
+The actor number of a connection must not change (`journal.Actors` keeps it). A caller must check
+`may` before any change.
 """
 
 from collections import OrderedDict
@@ -54,8 +54,8 @@ PARTS = {
     PERTURBATION: frozenset({PERTURBATION}),
     MEASURING: frozenset({ENVIRONMENT, DAMPING, PERTURBATION}),
 }
-LATE_NS = NS_PER_S // 2  # between two passes: nobody was heard meanwhile
-MOST_LOST = 1024  # losses that are remembered
+LATE_NS = NS_PER_S // 2  # after a longer pause between passes, no request was received meanwhile
+MOST_LOST = 1024  # remembered losses
 
 RELEASED = "released"
 TAKEN_OVER = "taken over"
@@ -65,31 +65,31 @@ FAILED = "failed"
 
 
 class Lease(NamedTuple):
-    """One lease: of what, whose, and until when unless it is renewed."""
+    """One lease: its subject, its holder, and its end unless it is renewed."""
 
     what: str
     actor: int
-    name: str  # that the client gave itself
+    name: str  # chosen by the client
     ttl_ns: int
-    at_end: str  # "hold" | "zero" | "disable": what becomes of the display if its holder fails
+    at_end: str  # "hold" | "zero" | "disable": the action at the display if its holder fails
     deadline_ns: int
 
     @property
     def holder(self) -> str:
-        """Whose it is, as people read it."""
+        """The holder, for users."""
         return f"{self.name} (actor {self.actor})"
 
 
 class Ended(NamedTuple):
-    """A lease that is no more, and why."""
+    """An ended lease, and the kind of its end."""
 
     lease: Lease
     how: str  # RELEASED | TAKEN_OVER | SILENT | GONE | FAILED
-    by: str = ""  # who took it over
+    by: str = ""  # client that took it over
 
     @property
     def text(self) -> str:
-        """What happened to it, in words."""
+        """Its end in words."""
         ttl_s = self.lease.ttl_ns / NS_PER_S
         words = {
             RELEASED: "was released",
@@ -102,7 +102,9 @@ class Ended(NamedTuple):
 
 
 class Leases:
-    """All leases of one gateway. `advance` is called in every pass, before anything is asked."""
+    """All leases of one gateway. `advance` must be called in every pass, before any
+    other method.
+    """
 
     def __init__(self) -> None:
         self._held: dict[str, Lease] = {}
@@ -111,20 +113,20 @@ class Leases:
 
     @property
     def measuring(self) -> bool:
-        """Whether somebody measures: then nothing is judged, and the energy faults are off."""
+        """Whether a client measures: then nothing is judged, and the energy faults are off."""
         return MEASURING in self._held
 
     @property
     def holders(self) -> tuple[tuple[str, int], ...]:
-        """(what, actor) of all that is held."""
+        """(what, actor) of all held leases."""
         return tuple((what, lease.actor) for what, lease in self._held.items())
 
     def holder(self, part: str) -> Lease | None:
-        """The lease that covers `part` of the display; None while anyone may change it."""
+        """Return the lease that covers `part` of the display; None if any client may change it."""
         return next((lease for lease in self._held.values() if part in PARTS[lease.what]), None)
 
     def may(self, actor: int, what: str) -> CommandError | None:
-        """Why `actor` may not change `what` now; None if he may."""
+        """Return why `actor` may not change `what` now; None if it may."""
         for part in sorted(PARTS[what]):
             lease = self.holder(part)
             if lease is not None and lease.actor == actor:
@@ -138,10 +140,10 @@ class Leases:
     def take(
         self, what: str, actor: int, name: str, ttl_s: float, at_end: str, take_over: bool = False
     ) -> list[Ended]:
-        """Have `actor` hold `what`; the leases that ended for it.
+        """Give the lease of `what` to `actor`; return the leases that this ended.
 
-        Who holds it already renews it with what is given here. CommandError: another holds some of
-        it and `take_over` is not asked; nothing changed.
+        A holder renews its lease with the new values. CommandError: another client holds a part,
+        and `take_over` is false; nothing changed.
         """
         others = [
             lease
@@ -157,7 +159,7 @@ class Leases:
         return ended
 
     def renew(self, what: str, actor: int) -> None:
-        """`actor` goes on to hold `what`. CommandError: he does not hold it, or no longer."""
+        """Renew the lease of `what`. CommandError: `actor` does not hold it, or no longer."""
         lease = self._held.get(what)
         if lease is None or lease.actor != actor:
             raise self.may(actor, what) or CommandError(
@@ -166,10 +168,10 @@ class Leases:
         self.heard(actor)
 
     def release(self, what: str, actor: int, how: str = RELEASED) -> Ended:
-        """End the lease of `what`, or own up to its loss; how it ended, then or before. `how` is
-        FAILED where the holder gives up because of an error of its own.
+        """End the lease of `what`, or acknowledge its loss; return its end, now or before.
 
-        CommandError: another holds it, or nobody does; nothing changed.
+        `how` is FAILED if the holder gives up because of its own error. CommandError: another
+        client holds it, or none does; nothing changed.
         """
         lease = self._held.get(what)
         if lease is not None and lease.actor == actor:
@@ -183,13 +185,15 @@ class Leases:
         )
 
     def heard(self, actor: int) -> None:
-        """`actor` has asked for something, so it lives."""
+        """Renew all leases of `actor`, which has sent a request."""
         for lease in list(self._held.values()):
             if lease.actor == actor:
                 self._held[lease.what] = lease._replace(deadline_ns=self._now_ns + lease.ttl_ns)
 
     def advance(self, now_ns: int) -> list[Ended]:
-        """It is `now_ns`; the leases whose holders were silent for too long."""
+        """Set the time to `now_ns`; return the leases that ended because their holders
+        were silent.
+        """
         step_ns = now_ns - self._now_ns
         self._now_ns = now_ns
         if not 0 <= step_ns <= LATE_NS:
@@ -198,12 +202,14 @@ class Leases:
         return [self._end(lease, SILENT) for lease in late]
 
     def leave(self, actor: int) -> list[Ended]:
-        """The connection of `actor` is gone; the leases that end with it."""
+        """Return the leases that end with the connection of `actor`."""
         mine = [lease for lease in self._held.values() if lease.actor == actor]
         return [self._end(lease, GONE) for lease in mine]
 
     def shown(self) -> dict[str, dict[str, Any]]:
-        """What is held: {what: {name, actor, left_s, ttl_s, at_end}}, for people and messages."""
+        """Return the held leases: {what: {name, actor, left_s, ttl_s, at_end}}, for users and
+        messages.
+        """
         return {
             what: {
                 "name": lease.name,
@@ -216,7 +222,7 @@ class Leases:
         }
 
     def named(self) -> dict[str, str]:
-        """Who holds what: {what: "name (actor number)"}, for recordings."""
+        """Return the holders: {what: "name (actor number)"}, for recordings."""
         return {what: lease.holder for what, lease in self._held.items()}
 
     def _put_off(self, step_ns: int) -> None:

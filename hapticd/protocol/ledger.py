@@ -1,14 +1,13 @@
-"""Tick records into the energy ledger: sums by cause, from the first record on.
+"""The energy ledger from tick records: sums by cause, from the first record on.
 
-`signal.ledger` says what each cause means; here its samples are read off the records. A record
-without a fresh sample adds nothing, the next one takes the whole way since the last: a NaN or a
-fault erases nothing. What was sent is the record's `force_n`; what of it the law, its limit, and a
-push that is not of the law had asked for follows from the parts beside it. What is in effect is
-read off the frames alone: by the sequence number that the board reports, and 0 where it grants no
+`signal.ledger` defines the causes; this module extracts their samples from the records. A record
+without a fresh sample adds nothing, and the next one covers the whole motion since the last sample:
+a NaN or a fault erases nothing. The sent force is the record's `force_n`. The shares of the law, of
+its limit, and of a push from outside the law follow from its other columns. The force in effect
+comes from the frames alone: the sequence number that the board reports, and 0 without granted
 torque.
 
-Records must be in order, and `forget` must be called at a gap (nothing is then known of the motion
-across it).
+Records must be in order, and `forget` must be called at a gap, across which the motion is unknown.
 """
 
 import numpy as np
@@ -25,7 +24,7 @@ from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 __all__ = ["CONTEXT", "NAMES", "Ledger", "samples"]
 
 NAMES = BOOKED.names or ()
-CONTEXT = 4 * LONGEST  # records that are looked at again: what is still on its way comes from them
+CONTEXT = 4 * LONGEST  # records kept for forces that are not yet in effect
 MANY = 500  # records
 LONGEST_GAP = 8  # periods without a sample across which motion is booked
 _EFFECT_PLACE = IN_OFFSETS["torque_age_us"]
@@ -33,7 +32,7 @@ _SEQ_PLACE = IN_EFFECT.size - 1
 
 
 class Ledger:
-    """Follows the records of one servo life."""
+    """The ledger over the records of one servo life."""
 
     def __init__(self, servo: ServoParams) -> None:
         self._servo = servo
@@ -41,13 +40,13 @@ class Ledger:
         self.begin()
 
     def begin(self) -> None:
-        """A new life: all sums are 0."""
+        """Start a new life: all sums are 0."""
         self._sums = np.zeros(len(NAMES))
         self._pending: list[Records] = []
         self._clear()
 
     def forget(self) -> None:
-        """Records were lost: of the motion across the gap nothing is known."""
+        """Note that records were lost: the motion across the gap is unknown."""
         if self._pending:
             self.take(self._pending.pop())
         self._clear()
@@ -57,13 +56,13 @@ class Ledger:
         self._motor_n = np.empty(0)
 
     def defer(self, records: Records) -> None:
-        """The next `records`, whose sums nobody asks for now: many are booked at once."""
+        """Take the next `records` without returning sums: many are booked at once."""
         self._pending.append(records)
         if sum(map(len, self._pending)) >= MANY:
             self.take(self._pending.pop())
 
     def take(self, records: Records) -> NDArray[np.float64]:
-        """Sums [J] after each of the next `records` (n,), by NAMES (n, causes)."""
+        """Return the sums [J] after each of the next `records` (n,), by NAMES (n, causes)."""
         new = joined((*self._pending, records)) if self._pending else records
         self._pending = []
         return self._booked(new)[len(new) - len(records) :]
@@ -98,7 +97,9 @@ def _plain(booked: Table) -> NDArray[np.float64]:
 
 
 def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Table:
-    """What the ledger reads off `records`: a row for each of `rows`, those with a fresh sample."""
+    """Return the ledger's samples of `records`: a row for each of `rows`, those with a fresh
+    sample.
+    """
     usable = records[rows]
     found = np.zeros(len(rows), SAMPLE)
     found["position_m"] = usable["position_m"]
@@ -118,14 +119,15 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
 
 
 def _periods(usable: Records, rate_hz: float) -> NDArray[np.float64]:
-    """Since the sample before, by the board's clock; 0 where nothing is known of the motion."""
+    """Return the periods since the sample before, by the board's clock; 0 if the motion
+    is unknown.
+    """
     passed = np.diff(usable["board_us"], prepend=usable["board_us"][:1]) * (rate_hz / US_PER_S)
     seeded = (usable["flags"] & Flag.SEEDED) != 0
     return np.where(seeded | (passed > 1.5 + LONGEST_GAP) | (passed < 0.0), 0.0, passed)
 
 
 def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: float) -> None:
-    """What the board says to be in effect at each sample."""
     usable = records[rows]
     effect = _bytes(usable["in_frame"])[:, _EFFECT_PLACE:][:, : IN_EFFECT.size]
     age_us = effect[:, 0] + 256.0 * effect[:, 1]
@@ -142,23 +144,24 @@ def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: f
 
 
 def _bytes(frames: NDArray[np.void]) -> NDArray[np.uint8]:
-    """Raw frames (n,) as bytes (n, size)."""
     return np.ascontiguousarray(frames).view(np.uint8).reshape(len(frames), -1)
 
 
 def _last_known(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """`values` with each unknown one replaced by the last known before it; 0 before the first."""
+    """Return `values` with each unknown one replaced by the last known before it; 0 before the
+    first.
+    """
     places = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
     return np.where(places >= 0, values[np.maximum(places, 0)], 0.0)
 
 
 def _forces(found: Table, usable: Records, servo: ServoParams) -> None:
-    """The law's field, what was left of its force by the limit, and what was sent."""
+    """Set the law's field, its force after the limit, and the sent force."""
     sent = usable["force_n"]
     law = sum(found[f"{part}_n"] for part in ("stiffness", "virtual_damping", "mass"))
     law = law + usable["field_force_n"]
     clamped = (usable["flags"] & Flag.CLAMPED) != 0
-    # the push of homing is not of the law: what rounding cannot explain
+    # a difference beyond rounding is the push of homing, which is not part of the law
     rest = sent - law
     push = np.where(~clamped & (np.abs(rest) > servo.device.force.per_count), rest, 0.0)
     found["field_n"] = usable["field_force_n"] + push

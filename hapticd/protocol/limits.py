@@ -1,7 +1,7 @@
-"""How much of each parameter may be asked on this device at this rate.
+"""The range of each parameter on this device at this rate.
 
-It is the mailbox's table under the names that clients use, with K, B and M as the device bounds
-them (`mailbox.environment_limits`).
+It is the mailbox's table under the names that clients use, with the ranges of K, B and M narrowed
+for the device (`mailbox.environment_limits`).
 """
 
 from math import inf, isfinite
@@ -18,7 +18,7 @@ __all__ = ["PLACES", "CommandLimits"]
 PLACES: dict[str, Value] = {key: Value(slot) for key, slot in SLOTS.items()} | {
     "ramp_s": Value.RAMP_S
 }
-# what people call a field where its name alone does not say it
+# quantities of fields whose name alone is not clear
 QUANTITIES = {"value": "active damping"}
 SOURCES = {
     Value.ACTIVE_DAMPING: "the device file sets it",
@@ -31,7 +31,7 @@ UNVERIFIED = "the signs of this device are not verified: `hapticd rig motor`"
 
 
 class CommandLimit(NamedTuple):
-    """Lowest and highest value with their unit, and where the limit comes from."""
+    """Lowest and highest value with their unit, and the source of the limit."""
 
     low: float
     high: float
@@ -43,9 +43,9 @@ class CommandLimit(NamedTuple):
 
 
 class CommandLimits:
-    """The limits by dotted field name; `bounds` are the ends of K, B and M for the device, and
-    without a device's probe any force is allowed there.
+    """The limits by dotted field name.
 
+    `bounds` are the ranges of K, B and M for the device. Without a probe, `samples_n` is unlimited.
     `value` of the damping command is the same quantity as `active_damping` of set.
     """
 
@@ -69,7 +69,6 @@ class CommandLimits:
             self._narrow(bounds)
 
     def _narrow(self, bounds: EnvironmentLimits) -> None:
-        """Narrow K, B and M to what the device allows."""
         for name, low, high in zip(AXES, bounds.lowest, bounds.highest, strict=True):
             known = self.of[name]
             source = known.source if known.low >= low and known.high <= high else BOUNDED
@@ -78,7 +77,7 @@ class CommandLimits:
 
     @classmethod
     def announced(cls, servo: ServoParams) -> "CommandLimits":
-        """Those of the servo with these parameters, as `hello` tells them."""
+        """Return the limits of the servo with these parameters, as in the reply to `hello`."""
         device = servo.device
         return cls(
             servo.realtime.rate_hz,
@@ -89,8 +88,8 @@ class CommandLimits:
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:
-        """One {loc, msg, value, unit, low, high} for each number in `given`, nested as the request,
-        beyond its limit. ConfigError for a name without a limit.
+        """Return {loc, msg, value, unit, low, high} for each number in `given` beyond its limit.
+        `given` is nested as the request. ConfigError for a name without a limit.
         """
         numbers = [(name, value) for name, value in flat(given) if isinstance(value, (int, float))]
         if unknown := [name for name, _ in numbers if name not in self.of]:
@@ -104,11 +103,11 @@ class CommandLimits:
         ]
 
     def allows(self, name: str, value: float) -> bool:
-        """Whether `value` is within the limit of field `name`."""
+        """Return whether `value` is within the limit of field `name`."""
         return self.of[name].low <= value <= self.of[name].high
 
     def complaint(self, name: str, value: float, where: str = "") -> str:
-        """What to tell about `value` in field `name`, beyond its limit."""
+        """Return the message about `value` beyond the limit of field `name`."""
         limit = self.of[name]
         return (
             f"{where or QUANTITIES.get(name, name)} = {value:g} {limit.unit}: beyond the limit"
@@ -116,8 +115,8 @@ class CommandLimits:
         )
 
     def numbers(self, name: str, value: float) -> dict[str, Any]:
-        """What programs go by: {value, unit, low, high} of `value` in field `name`; a value that is
-        not finite is None, which any encoding has.
+        """Return the numbers for programs: {value, unit, low, high} of `value` in field `name`. A
+        non-finite value becomes None, which any encoding can express.
         """
         limit = self.of[name]
         return {
@@ -128,7 +127,9 @@ class CommandLimits:
         }
 
     def _instead(self, name: str, value: float) -> str:
-        """What to ask for in place of `value`: of a mass the same number in grams, if that fits."""
+        """Return what to send in place of `value`; for a mass the same number in grams, if that
+        fits.
+        """
         kg = value / G_PER_KG
         if name != "M" or not self.allows("M", kg):
             return "ask for a value inside"
@@ -139,13 +140,13 @@ class CommandLimits:
         )
 
     def remedy(self, name: str) -> str:
-        """What to send in field `name`; empty if it has no limit."""
+        """Return the valid range of field `name` as a remedy; empty if it has no limit."""
         return (
             f"send a number in {self.of[name]}" if name in self.of and name != "wall.side" else ""
         )
 
     def plain(self) -> dict[str, dict[str, Any]]:
-        """All limits as maps {low, high, unit}, by field name."""
+        """Return all limits as maps {low, high, unit}, by field name."""
         return {
             name: {"low": limit.low, "high": limit.high, "unit": limit.unit}
             for name, limit in self.of.items()

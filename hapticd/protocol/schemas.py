@@ -1,10 +1,9 @@
-"""What a client may ask, as strict models, one per command; and what is wrong, in words.
+"""The requests of clients as strict models, one per command, and the errors in words.
 
-Strict means: no text for numbers, no booleans for numbers, no null for "not given", no unknown
-keys, nothing infinite. The ranges are not here but in `limits`, since they depend on the device.
-`parse` puts both kinds of complaint in the same form: field, value, what the field takes with unit
-and limit, and what to do; nothing that a client sent is repeated but in printable ASCII and cut
-short. `json_schema` is the same for machines.
+Strict: no text or booleans for numbers, no null for an omitted field, no unknown keys, no
+non-finite numbers. Ranges depend on the device and are in `limits`. `parse` reports both kinds of
+error in the same form: field, value, valid range with unit, remedy. It repeats values of a client
+only in printable ASCII, cut short. `json_schema` gives the same for programs.
 """
 
 from copy import deepcopy
@@ -83,12 +82,12 @@ Side = Annotated[
 
 
 def _absent(text: str, **limits: Any) -> Any:
-    """A field that may be left out but not be null; `given` lists those that were sent."""
+    """Return a field that may be omitted but not null; `given` lists the fields that were sent."""
     return Field(default=None, description=text, **limits)
 
 
 class MessagePart(BaseModel):
-    """Common to all messages and their parts."""
+    """Base of all messages and their parts."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -99,20 +98,20 @@ class MessagePart(BaseModel):
 
 
 class CommandMessage(MessagePart):
-    """Common to all commands."""
+    """Base of all commands."""
 
     v: int = Field(PROTOCOL_VERSION, description="version of this protocol")
     id: Id = Field(None, description="comes back in the reply")
 
     def change(self, level_ns_per_m: float) -> dict[str, Any]:
-        """What it changes of an environment, nested as in `set`; active damping is a number, `on`
-        being `level_ns_per_m`.
+        """Return the changes of the environment, nested as in `set`. Active damping is a number;
+        `on` means `level_ns_per_m`.
         """
         return {}
 
     @property
     def auto(self) -> bool | None:
-        """Whether it leaves the level of active damping to the guard; None: as before."""
+        """Whether the guard selects the level of active damping; None: as before."""
         return None
 
     @property
@@ -122,7 +121,7 @@ class CommandMessage(MessagePart):
 
 
 class Hello(CommandMessage):
-    """Who is there: versions, limits, endpoints; gives the client a name."""
+    """Return versions, limits and endpoints; set the name of the client."""
 
     cmd: Literal["hello"]
     name: str = Field(
@@ -133,13 +132,13 @@ class Hello(CommandMessage):
 
 
 class Get(CommandMessage):
-    """The parameters in force."""
+    """Return the parameters in force."""
 
     cmd: Literal["get"]
 
 
 def _rendered(name: str, table: str, base: type[MessagePart], description: str) -> Any:
-    """`base` with the fields that the environment has in `table`."""
+    """Return `base` with the fields of the environment in `table`."""
     numbers: dict[str, Any] = {}
     for one in FIELDS:
         inside, _, leaf = one.key.rpartition(".")
@@ -148,7 +147,7 @@ def _rendered(name: str, table: str, base: type[MessagePart], description: str) 
     return create_model(name, __base__=base, __doc__=description, **numbers)
 
 
-if TYPE_CHECKING:  # a model that is made of the table is no base or type for a checker
+if TYPE_CHECKING:  # a type checker cannot use a model that is created at run time
     Filters = MessagePart
     Wall = MessagePart
 else:
@@ -158,7 +157,7 @@ else:
 
 
 class Judged(CommandMessage):
-    """Common to what the guard judges."""
+    """Base of the requests that the guard judges."""
 
     strict: bool = Field(
         False,
@@ -167,7 +166,7 @@ class Judged(CommandMessage):
 
 
 class Change(Judged):
-    """Common to what may be timed."""
+    """Base of the requests that can be timed."""
 
     at_tick: Tick = _absent("servo tick at which it comes into force; left out: the next")
     if_rev: int = _absent("only if the revision is still this one", ge=0, lt=ID_LIMIT)
@@ -180,11 +179,11 @@ else:
 
 
 class Set(Rendered):
-    """Change any of the parameters; each goes on a ramp from where it is."""
+    """Change any of the parameters; each ramps from its present value."""
 
-    # It is no form of an Environment but a change of one: only the fields that were sent, with
-    # ramp, ticks and revision. Its fields are made from the table, and `Environment.changed` takes
-    # its `change`.
+    # A change of an Environment, not another form of one: only the fields that were sent, with
+    # ramp, ticks and revision. Its fields come from the table, and `Environment.changed` takes its
+    # `change`.
 
     cmd: Literal["set"]
     filters: Filters = _absent("derivative filters")
@@ -204,7 +203,7 @@ class Set(Rendered):
         if "until_tick" in self.model_fields_set and self.until_tick <= (self.at_tick or 0):
             raise ValueError(f"until_tick = {self.until_tick}: must be after at_tick")
         if "until_tick" in self.model_fields_set and not self.at_tick:
-            # else a begin could act whose end is too late
+            # otherwise the change could start after its end was refused as late
             raise ValueError("until_tick: give at_tick as well")
         return self
 
@@ -216,23 +215,23 @@ class Set(Rendered):
         return self
 
     def change(self, level_ns_per_m: float) -> dict[str, Any]:
-        """The fields that were sent; a table without any is left out."""
+        """Return the fields that were sent; a table without any is left out."""
         given = self.given
         return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
 
     @property
     def auto(self) -> bool | None:
-        """A level that was sent is the client's choice."""
+        """False if a level was sent, which is the client's choice."""
         return False if "active_damping" in self.model_fields_set else None
 
     @property
     def end_tick(self) -> int:
-        """The tick at which it ends, if one was sent."""
+        """The tick at which the change ends, if one was sent."""
         return self.until_tick if "until_tick" in self.model_fields_set else 0
 
 
 class Damping(Change):
-    """Switch the active damping, set its level and switch it on, or have the guard choose it."""
+    """Switch the active damping, set its level and switch it on, or let the guard select it."""
 
     cmd: Literal["damping"]
     value: Literal["on", "off", "auto"] | float = Field(
@@ -240,31 +239,31 @@ class Damping(Change):
     )
 
     def change(self, level_ns_per_m: float) -> dict[str, Any]:
-        """The level that it comes to; nothing with `auto`."""
+        """Return the resulting level; nothing with `auto`."""
         levels = {"on": level_ns_per_m, "off": 0.0}
         level = levels.get(self.value) if isinstance(self.value, str) else float(self.value)
         return {} if level is None else {"active_damping": level}
 
     @property
     def auto(self) -> bool:
-        """Whether the guard chooses the level."""
+        """Whether the guard selects the level."""
         return self.value == "auto"
 
 
 class Enable(Judged):
-    """Force on, with a gain ramp."""
+    """Switch force on, with a gain ramp."""
 
     cmd: Literal["enable"]
 
 
 class Disable(CommandMessage):
-    """Force off."""
+    """Switch force off."""
 
     cmd: Literal["disable"]
 
 
 class Stop(CommandMessage):
-    """Latched stop; taken from anyone at any time, whatever else the message holds."""
+    """Latched stop; any client may send it at any time, whatever else the message contains."""
 
     cmd: Literal["stop"]
 
@@ -276,19 +275,19 @@ class Reset(CommandMessage):
 
 
 class Zero(CommandMessage):
-    """Here is x = 0."""
+    """Set the present position as x = 0."""
 
     cmd: Literal["zero"]
 
 
 class Home(CommandMessage):
-    """Find the origin as the device file says."""
+    """Find the origin by the method in the device file."""
 
     cmd: Literal["home"]
 
 
 class Withhold(CommandMessage):
-    """Send the board no frames for a while, to see its watchdog trip; only in `disabled`."""
+    """Send no frames to the board for a while, to trip its watchdog; only in `disabled`."""
 
     cmd: Literal["withhold"]
     seconds: float = Field(
@@ -327,8 +326,8 @@ Ttl = Annotated[float, Field(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
 
 
 class LeaseRequest(CommandMessage):
-    """Be the only one who may change a part of the display, for as long as this connection asks
-    for something at least every `ttl_s`.
+    """Take, renew or release the exclusive right to change a part of the display. A lease lasts as
+    long as its connection sends a request at least every `ttl_s`.
     """
 
     cmd: Literal["lease"]
@@ -352,12 +351,14 @@ class LeaseRequest(CommandMessage):
 
 
 class GuardRequest(Judged):
-    """What is done with an environment that is not known to be passive; without fields: ask."""
+    """Set the treatment of environments that are not known to be passive; without
+    fields: query it.
+    """
 
     cmd: Literal["guard"]
     policy: Policy = _absent(
-        "off: judge nothing; warn: say so and do it; clamp: go as far as is safe; refuse;"
-        " follow: for less damping, first make the environment smaller"
+        "off: judge nothing; warn: apply the change and warn; clamp: go as far as is safe; refuse:"
+        " apply nothing unsafe; follow: before active damping falls, reduce the environment"
     )
     basis: BasisName = _absent("what a verdict rests on")
     margin_ns_per_m: float = _absent("damping that has to be left, N s/m", ge=0, le=1e3)
@@ -366,32 +367,32 @@ class GuardRequest(Judged):
     )
 
     def damping(self) -> Damping:
-        """The damping command that its mode comes to."""
+        """Return the damping command for its mode."""
         value = "on" if self.mode == "level" else self.mode
         return Damping(cmd="damping", value=value, strict=self.strict)
 
 
 class Status(CommandMessage):
-    """Everything about servo and gateway."""
+    """Return the state of servo and gateway."""
 
     cmd: Literal["status"]
 
 
 class Dump(CommandMessage):
-    """Write the flight recording now; the reply names the file, an event tells when it is there."""
+    """Write the flight recording; the reply contains the path, and an event reports the end."""
 
     cmd: Literal["dump"]
 
 
 class Mark(CommandMessage):
-    """Note words with the newest tick as an event `mark`, which recordings keep."""
+    """Note a text with the newest tick as an event `mark`, which recordings keep."""
 
     cmd: Literal["mark"]
     text: str = Field(min_length=1, max_length=96, description="what happens at this tick")
 
 
 class Schema(CommandMessage):
-    """This protocol as JSON schema."""
+    """Return this protocol as JSON schema."""
 
     cmd: Literal["schema"]
 
@@ -421,8 +422,8 @@ MODELS: dict[str, type[CommandMessage]] = {
     get_args(model.model_fields["cmd"].annotation)[0]: model for model in get_args(Request)
 }
 
-# to hello, get, status, guard, lease and to changes, and what the topic `event` tells; in the JSON
-# schema as `HelloAnswer` and so on
+# replies to hello, get, status, guard, lease and changes, and the topic `event`; in the JSON schema
+# as `HelloAnswer` and so on
 ANSWERS = (
     answers.Hello,
     answers.Get,
@@ -445,7 +446,7 @@ _REMEDY = "the command `schema` lists what is allowed"
 
 
 def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
-    """The request in `plain`.
+    """Return the request in `plain`.
 
     CommandError `unsupported_version` or `invalid`, with one line per wrong field.
     """
@@ -469,7 +470,7 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
     return request
 
 
-_REASONS = {  # in place of what pydantic says, by its type of error
+_REASONS = {  # replace pydantic's messages, by type of error
     "finite_number": "not a finite number",
     "float_type": "not a number",
     "int_type": "not a whole number",
@@ -478,8 +479,8 @@ _REASONS = {  # in place of what pydantic says, by its type of error
 
 
 def invalid(detail: list[dict[str, Any]]) -> CommandError:
-    """The error for a request that breaks the schema or a limit; detail is [{loc, msg}], of a
-    number beyond its limit [{loc, msg, value, unit, low, high}].
+    """Return the error for a request that breaks the schema or a limit. detail is [{loc, msg}], for
+    a number beyond its limit [{loc, msg, value, unit, low, high}].
     """
     detail = detail[:MOST_DETAILS]
     return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)
@@ -505,7 +506,7 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     if item["type"] == "value_error" and not loc:
         return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
     context = item.get("ctx", {})
-    # a value_error is of a validator of ours
+    # a value_error comes from a validator in this module
     said = str(context["error"]) if item["type"] == "value_error" else item["msg"]
     known = _REASONS.get(item["type"])
     reason = known.format(context.get("expected")) if known else said
@@ -529,7 +530,7 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 
 
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
-    """The protocol as JSON schema, with unit, minimum and maximum on this device."""
+    """Return the protocol as JSON schema, with unit, minimum and maximum on this device."""
     schema = deepcopy(_schema_of_any_device())
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")

@@ -1,29 +1,28 @@
-"""Telemetry: the ring of tick records becomes the messages of each topic.
+"""Telemetry: turn the ring of tick records into the messages of each topic.
 
-Topics. A telemetry message is always two frames, [topic, payload], and every payload is one msgpack
-value: a map or an array of maps. ZeroMQ matches subscriptions by prefix, and the first frame has to
-be the topic's plain name, for PlotJuggler subscribes to what its user types. So that whoever asks
-for `servo` is not sent `servo.raw` too, a subscription here wants the topic of exactly that name;
-only a prefix that is no topic (`""`, `s`, `servo.`) wants all topics it begins. Through the relay
-of `auth`, which is libzmq's, `servo` brings `servo.raw` too while somebody else has asked for that:
-hapticd's client compares the first frame with the topic, and generic decoders skip a map of a few
-numbers and one binary.
+Topics. A telemetry message always has two frames, [topic, payload], and every payload is one
+msgpack value: a map or an array of maps. ZeroMQ matches subscriptions by prefix. The first frame
+must be the plain name of the topic, because PlotJuggler subscribes to the text that its user types.
+To keep `servo.raw` from subscribers of `servo`, a subscription to the name of a topic selects that
+topic only. Another prefix (`""`, `s`, `servo.`) selects all topics that start with it.
+The relay of `auth` uses libzmq, where `servo` includes `servo.raw` while another client has
+subscribed to that. hapticd's client therefore compares the first frame with the topic; generic
+decoders skip a map of a few numbers and one binary.
 
 Blocks. The ring is read in blocks: every record once, in order, or counted as lost. `seq` is the
-number of a record in the ring of one servo life (0 is the first tick it recorded), so consecutive
-blocks that belong together satisfy seq + n = next seq, and what is missing was lost, here or on the
-way.
+number of a record in the ring of one servo life (0 is the first recorded tick). Consecutive blocks
+satisfy seq + n = next seq; missing records were lost, in the ring or in transit.
 
 Two forms of tick records. `servo` is for viewers: an array of maps of plain numbers, one per tick,
-each with its own `timestamp`; a number that is not finite is left out of its map. `servo.raw` is
-for acquisition: one map with a header and, in `d`, the records byte by byte as the servo wrote
-them; numpy.frombuffer(d, numpy.dtype(descr)) is lossless and copies nothing.
+each with its own `timestamp`; non-finite numbers are omitted. `servo.raw` is for acquisition: one
+map with a header and, in `d`, the records byte by byte as written by the servo. numpy.frombuffer(d,
+numpy.dtype(descr)) is lossless and copies nothing.
 
-Probe. The 4 kHz stream is taken out of the IN frames that the tick records carry. A frame holds
-0..5 (torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the
-index is unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair
-gets the host time of the tick that brought it. Counts stay counts; the header carries the scales of
-this device. When the board starts anew its index does too: that is a new `run`, not a gap.
+Probe. The 4 kHz stream is extracted from the IN frames in the tick records. A frame contains 0..5
+(torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. This module
+unwraps the index, drops duplicates, counts missing intervals, and gives each pair the host time of
+its tick. Values stay counts; the header contains the scales of this device. When the board
+restarts, its index restarts too: that is a new `run`, not a gap.
 """
 
 import math
@@ -58,7 +57,7 @@ __all__ = [
 
 
 class Topic(NamedTuple):
-    """One row: content, rate, and how many ticks share one sample of a topic."""
+    """One row: content, rate, and the ticks per sample of a topic."""
 
     name: str
     content: str
@@ -114,8 +113,8 @@ NAMES = frozenset(topic.name for topic in TOPICS)
 
 
 def wanted_by(prefix: bytes) -> frozenset[str]:
-    """Topics that a subscription to `prefix` wants."""
-    # a subscriber may send any bytes; what is not ASCII is then no topic
+    """Return the topics that a subscription to `prefix` selects."""
+    # a subscriber may send any bytes; a name that is not ASCII is not a topic
     text = prefix.decode("ascii", errors="replace")
     return (
         frozenset({text})
@@ -125,14 +124,14 @@ def wanted_by(prefix: bytes) -> frozenset[str]:
 
 
 class Subscriptions:
-    """The live subscriptions of one listener: at most one for each beginning of a topic's name."""
+    """The subscriptions of one subscriber: at most one for each prefix of a topic's name."""
 
     def __init__(self) -> None:
         self._prefixes: set[bytes] = set()
         self.wanted: frozenset[str] = frozenset()
 
     def take(self, message: bytes) -> frozenset[str]:
-        """Note one message of the listener; topics that it newly asks for.
+        """Note one message of the subscriber; return the newly selected topics.
 
         Prefixes of no topic are not kept.
         """
@@ -147,12 +146,12 @@ class Subscriptions:
 
 
 MOST_RECORDS = 512  # in one block
-MOST_BLOCKS = 2  # at once: after a standstill the rest comes with the next passes
-LINGER_NS = 100 * NS_PER_MS  # an unfinished batch does not wait longer for its last ticks
+MOST_BLOCKS = 2  # at once: after a standstill the rest follows in the next passes
+LINGER_NS = 100 * NS_PER_MS  # maximum wait of an incomplete batch for its last ticks
 
 
 class RingBlock(NamedTuple):
-    """Consecutive records of one servo life; `lost` of them went missing just before.
+    """Consecutive records of one servo life; `lost` records are missing just before.
 
     `records` shares the memory of `data`.
     """
@@ -165,7 +164,7 @@ class RingBlock(NamedTuple):
 
 
 class Feed:
-    """Reads whole batches, or what there is when no batch was completed for a while."""
+    """Read whole batches, or the available records if no batch was completed for a while."""
 
     def __init__(self, view: ServoView, batch: int) -> None:
         self._view = view
@@ -176,8 +175,8 @@ class Feed:
         self.lost = 0
 
     def take(self, now_ns: int, early: bool = False) -> list[RingBlock]:
-        """The blocks that are due; whole numbers of batches unless the ring stood still, or `early`
-        asks for what there is.
+        """Return the due blocks: whole batches, unless the ring stood still or `early` requests the
+        available records.
         """
         view = self._view
         if view.mailbox is None:
@@ -200,16 +199,18 @@ class Feed:
         return [block for block in blocks if len(block.records) or block.lost]
 
     def _begin(self, now_ns: int) -> None:
-        """A young ring is read from its first record, one that has long been running from now."""
+        """Start at the first record of a young ring, or at the newest of one that has
+        run for long.
+        """
         head = self._view.head
         self._life = self._view.life
         self._taken_ns = now_ns
         self._tail = 0 if head < RING_RECORDS // 2 else head
 
     def _ready(self, now_ns: int, early: bool) -> int:
-        self._tail = min(self._tail, self._view.head)  # a head that fell back had been written over
+        self._tail = min(self._tail, self._view.head)  # the head may fall back after damage
         waiting = min(self._view.head - self._tail, MOST_RECORDS)
-        # a batch longer than a block never fills: it leaves after LINGER_NS as it is
+        # a batch longer than a block never fills: it is sent incomplete after LINGER_NS
         whole = waiting - waiting % self._batch if self._batch <= MOST_RECORDS else 0
         if early or (not whole and now_ns - self._taken_ns >= LINGER_NS):
             return waiting
@@ -225,7 +226,7 @@ TICK_DESCR = [list(field) for field in TELEMETRY]
 
 
 class Origin:
-    """What the header of every block says about where it comes from: one per servo life."""
+    """The header of every block about its origin: one per servo life."""
 
     def __init__(self, epoch: int, unix_offset_ns: int, simulated: bool) -> None:
         self.epoch = epoch
@@ -242,8 +243,8 @@ class Origin:
 def servo_messages(
     block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int
 ) -> list[bytes]:
-    """Payloads of topic `servo`: at most `batch` ticks in one, with the ledger's sums (n, causes)
-    of the block.
+    """Return payloads of topic `servo`, with at most `batch` ticks each. `energies` are the
+    ledger's sums (n, causes) of the block.
     """
     records = block.records
     columns: list[Any] = [
@@ -260,15 +261,15 @@ def servo_messages(
 
 
 def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
-    # a sum is finite unless one of its terms is not (or it overflows, and then the slow way finds
-    # nothing)
+    # a sum is finite unless one of its terms is not, or it overflows; the slow path then finds
+    # none
     if math.isfinite(sum(numbers.values())):
         return numbers
     return {name: value for name, value in numbers.items() if math.isfinite(value)}
 
 
 def raw_message(block: RingBlock, origin: Origin) -> bytes:
-    """Payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
+    """Return the payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
     return packed_block(
         origin,
         block.seq,
@@ -290,10 +291,10 @@ def packed_block(
     data: bytes,
     **more: Any,
 ) -> bytes:
-    """Header and records as one msgpack map.
+    """Return header and records as one msgpack map.
 
-    `seq` numbers the first record, `next` the one after the last; `lost` are missing since the last
-    block.
+    `seq` is the number of the first record, `next` that after the last; `lost` are missing since
+    the last block.
     """
     place = {"seq": seq, "next": after, "n": count, "lost": lost, "descr": descr}
     return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
@@ -302,7 +303,7 @@ def packed_block(
 PROBE_DTYPE = np.dtype(
     [("index", "<u8"), ("time_ns", "<i8"), ("torque", "<i2"), ("velocity", "<i2")]
 )
-# an index that falls back further is no late frame but a board that started anew
+# if an index falls back further, the board has restarted; the frame is not just late
 RESTART = PROBE_RATE_HZ // 10
 
 _COUNT_PLACE = frames.IN_OFFSETS["probe_count"]
@@ -314,7 +315,7 @@ _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 
 
 def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
-    """What the counts of the two signals mean, in `unit`.
+    """Return the scales of the two signals, in `unit`.
 
     value = sign * (count - offset_count) * per_count
     """
@@ -331,9 +332,9 @@ def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
 
 
 class ProbeDecoder:
-    """Follows one stream of blocks.
+    """Decode the probe from one stream of blocks.
 
-    `forget` when nobody listened for a while, so that the pause is no gap.
+    Call `forget` after a time without subscribers, so that the pause is not a gap.
     """
 
     def __init__(self, device: DeviceParams) -> None:
@@ -342,7 +343,7 @@ class ProbeDecoder:
         self.forget()
 
     def forget(self) -> None:
-        """The next frame begins the stream."""
+        """Start the stream at the next frame."""
         self._next: int | None = None
         self._clear()
 
@@ -352,7 +353,9 @@ class ProbeDecoder:
         self._pairs: list[bytes] = []
 
     def messages(self, block: RingBlock, origin: Origin) -> list[bytes]:
-        """Payloads of topic `probe` for the pairs in `block`: one for each run of the board."""
+        """Return payloads of topic `probe` for the pairs in `block`: one for each run of
+        the board.
+        """
         found = []
         records = block.records
         for flags, time_ns, frame in zip(
@@ -375,7 +378,7 @@ class ProbeDecoder:
     def _gather(self, frame: bytes, count: int, time_ns: int) -> None:
         first = self._first(frame)
         expected = first if self._next is None else self._next
-        # pairs that an earlier frame has brought already
+        # pairs already received in an earlier frame
         known = max(0, expected - first)
         if known < count:
             self._lost += max(0, first - expected)
@@ -390,7 +393,7 @@ class ProbeDecoder:
             return []
         first, count, time_ns = np.array(self._stretches, np.int64).T
         samples = np.empty(int(count.sum()), PROBE_DTYPE)
-        # within a stretch indices go up by 1, from its first
+        # within a stretch, indices rise by 1 from the first
         samples["index"] = (
             np.repeat(first, count)
             + np.arange(len(samples))

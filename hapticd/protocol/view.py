@@ -1,10 +1,10 @@
-"""The servo as the gateway sees it: its mailbox, its newest record, what it last promised.
+"""The servo as seen by the gateway: its mailbox, its newest record, its last answers.
 
-A servo may die and another start; each life has its own mailbox. The view notices (the heartbeat
-stays away, or the file in the folder is another one), lets go and tries again ten times a second.
-A servo with another configuration is not served: what a newton is in counts is part of it.
-`life` counts the mailboxes it has opened. Telemetry records are numpy structured arrays whose dtype
-is made from the one table in mailbox.layout.
+A servo may die and another start; each life has its own mailbox. The view detects this (the
+heartbeat stops, or the folder has another file), closes the mailbox and tries again ten times a
+second. A servo with another configuration is not served, because scales may differ. `life` counts
+the opened mailboxes. Telemetry records are numpy structured arrays whose dtype comes from the one
+table in mailbox.layout.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,42 +34,44 @@ assert RECORD_DTYPE.itemsize == layout.RECORD.size
 
 
 def as_records(data: bytes) -> Records:
-    """Whole records in `data` as a structured array (n,) of DTYPE that shares its memory."""
+    """Return the whole records in `data` as a structured array (n,) of DTYPE that shares its
+    memory.
+    """
     return np.frombuffer(data, RECORD_DTYPE)
 
 
 def joined(parts: Sequence[Records]) -> Records:
-    """`parts` one after the other, all of one dtype, in memory of its own.
+    """Return `parts` concatenated, all of one dtype, in new memory.
 
-    numpy would work the common dtype out field by field, pair by pair, which takes longer than the
+    numpy.concatenate would determine the common dtype field by field, which takes longer than the
     copy.
     """
     return np.frombuffer(b"".join(part.tobytes() for part in parts), parts[0].dtype)
 
 
 def rows(data: bytes) -> list[dict[str, Any]]:
-    """Whole records in `data` as maps of plain Python values."""
+    """Return the whole records in `data` as maps of plain Python values."""
     return [dict(zip(FIELDS, values, strict=True)) for values in as_records(data).tolist()]
 
 
 def last_torn(records: Records) -> int:
-    """Number of leading records up to the last torn one; 0 if all are whole.
+    """Return the number of leading records up to the last torn one; 0 if all are whole.
 
-    The end of a torn record is not of the same tick as its beginning.
+    Beginning and end of a torn record belong to different ticks.
     """
     torn = np.flatnonzero(records["tick"] != records["tail"])
     return int(torn[-1]) + 1 if torn.size else 0
 
 
 RETRY_NS = 100 * NS_PER_MS
-SILENCE_NS = NS_PER_S  # a servo without a tick for so long is taken for dead
+SILENCE_NS = NS_PER_S  # a servo without a tick for 1 s counts as dead
 DOWN = "down"
 STARTING = "starting"
 STATES = {int(state): state for state in State}
 
 
 def configured(params: ServoParams) -> tuple[float, ...]:
-    """The parameters with which a servo starts, by layout.Value."""
+    """Return the parameters with which a servo starts, by layout.Value."""
     values = params.environment.row() | {
         Value.ACTIVE_DAMPING: params.active_damping_ns_per_m,
         Value.LIMIT_CYCLE_FAULTS: float(params.safety.limit_cycle_faults),
@@ -78,12 +80,11 @@ def configured(params: ServoParams) -> tuple[float, ...]:
 
 
 def _latest(one: int, other: int) -> int:
-    """The revision that was counted last."""
     return one if newer(one, other) else other
 
 
 class ServoView:
-    """What is known of the servo. `refresh` is cheap and is called before anything is asked."""
+    """The state of the servo. Call `refresh`, which is cheap, before any other access."""
 
     def __init__(self, folder: Path, params: ServoParams, unix_ns: Callable[[], int]) -> None:
         self.folder = folder
@@ -93,8 +94,8 @@ class ServoView:
         self.life = 0
         self.alive = False
         self._retry_ns = -RETRY_NS
-        self.trouble = ""  # why the last try to open a mailbox failed
-        self.foreign = ""  # hash of the configuration of a servo that runs another one than ours
+        self.trouble = ""  # why the last attempt to open a mailbox failed
+        self.foreign = ""  # configuration hash of a servo that differs from this gateway's
         self._last_actor = FIRST_CLIENT - 1
         self._forget()
 
@@ -104,17 +105,17 @@ class ServoView:
         self.unix_offset_ns = 0
         self._came_late = False
         self._head = 0
-        self._first_head = -1  # of the first look at this life; -1: not looked yet
+        self._first_head = -1  # at the first read of this life; -1: not yet read
         self._promised = 0
-        self.led_by = 0  # actor whose request led to the present state; 0: none's, or not seen
+        self.led_by = 0  # actor whose request led to the present state; 0: none, or unknown
 
     @property
     def ended(self) -> bool:
-        """Whether the servo whose mailbox is open has ended; its last records are still there."""
+        """Whether the servo of the open mailbox has ended; its last records are still there."""
         return self.mailbox is not None and not self.mailbox.current
 
     def refresh(self, now_ns: int) -> None:
-        """Open, let go or reopen the mailbox as needed; read the newest record."""
+        """Open, close or reopen the mailbox as needed; read the newest record."""
         if self.ended:
             self.drop()
         if self.mailbox is None and now_ns - self._retry_ns >= RETRY_NS:
@@ -139,7 +140,7 @@ class ServoView:
             self.record = newest[-1] if newest else self.record
 
     def drop(self) -> None:
-        """Let go of the mailbox; its servo is gone."""
+        """Close the mailbox, whose servo has ended."""
         if self.mailbox:
             self.mailbox.close()
         self.mailbox = None
@@ -171,7 +172,7 @@ class ServoView:
         )  # once per life: time stamps of one life never jump
 
     def require_servo(self, cmd: str) -> None:
-        """CommandError, if no servo is there that could obey `cmd`."""
+        """Raise CommandError if no servo can execute `cmd`."""
         if self.foreign:
             raise CommandError("servo_down", f"{cmd}: {self.trouble}")
         if not self.alive:
@@ -181,9 +182,9 @@ class ServoView:
             )
 
     def answers(self) -> list[Answer]:
-        """The servo's answers since the last call.
+        """Return the servo's answers since the last call.
 
-        Every one, refusals too, carries the parameters in force.
+        Each answer, including refusals, contains the parameters in force.
         """
         found = self.mailbox.answers() if self.mailbox else []
         if found:
@@ -194,21 +195,25 @@ class ServoView:
 
     @property
     def targets(self) -> tuple[float, ...]:
-        """The parameters by layout.Value, ramps at their ends: as last answered, or configured."""
+        """The parameters by layout.Value, at the ends of their ramps: from the last answer, or as
+        configured.
+        """
         return self._effective or configured(self.params)
 
     @property
     def unsure(self) -> bool:
-        """Whether parameters were changed before this gateway came; it does not know to what."""
+        """Whether parameters were changed before this gateway started, so that their values are
+        unknown.
+        """
         return self._came_late and self._effective is None and self.alive
 
     @property
     def seen(self) -> int:
-        """Records that the servo has written since this gateway first looked at it."""
+        """Records that the servo has written since this gateway first read it."""
         return self._head - self._first_head if self._first_head >= 0 else 0
 
     def next_actor(self) -> int:
-        """A client number that no gateway has given in this servo life."""
+        """Return a client number that no gateway has used in this servo life."""
         self._last_actor += 1
         self._keep_last_actor()
         return self._last_actor
@@ -219,7 +224,7 @@ class ServoView:
             self.mailbox.last_actor = self._last_actor
 
     def newest(self, ticks: int) -> Records:
-        """The records of the last `ticks` of this servo life, as far as there are."""
+        """Return the records of the last `ticks` of this servo life, as far as available."""
         first = max(0, self._head - ticks)
         return as_records(self.mailbox.records(first, ticks)[0] if self.mailbox else b"")
 
@@ -245,16 +250,16 @@ class ServoView:
 
     @property
     def state_name(self) -> str:
-        """The state as people read it: also `down` and `starting`."""
+        """The state for users, including `down` and `starting`."""
         if self.state is not None:
             return self.state.name.lower()
         return STARTING if self.mailbox and not self.record else DOWN
 
     def report(self) -> dict[str, Any]:
-        """What the servo says of itself and its board; nothing while none lives."""
+        """Return the servo's report about itself and its board; empty without a servo."""
         return self.mailbox.report() if self.mailbox else living_report(self.folder)
 
     @property
     def fault(self) -> Fault:
-        """Row of hapticd.core.faults of the newest record."""
+        """Row of hapticd.core.faults for the newest record."""
         return BY_NUMBER.get(int(self.record.get("fault", 0)), FAULTS[0])

@@ -1,8 +1,8 @@
-"""What libzmq tells of a socket's connections: events of its monitor, one implementation for both
-ends of a line with keys (`relay`, `client.listener`).
+"""Read the events of libzmq's monitor about a socket's connections, for both ends of a line with
+keys (`relay`, `client.listener`).
 
-pyzmq has a reader of these messages as well, but it loads asyncio, which the relay has no memory
-for. A monitor socket must have one reader.
+pyzmq also has a reader of these messages, but it loads asyncio, which takes too much memory for the
+relay. A monitor socket must have one reader.
 """
 
 import struct
@@ -20,17 +20,17 @@ class Event(NamedTuple):
     """One event of a monitor."""
 
     kind: int  # zmq.EVENT_...
-    value: int  # a descriptor, or what a failed handshake died of
+    value: int  # a descriptor, or the error of a failed handshake
 
 
 def take(monitor: "zmq.Socket[bytes]") -> Event:
-    """The next event; zmq.Again if there is none."""
+    """Return the next event; zmq.Again without one."""
     data, _endpoint = monitor.recv_multipart(zmq.NOBLOCK)
     return Event(*LAYOUT.unpack(data))
 
 
 def taken(monitor: "zmq.Socket[bytes]") -> Iterator[Event]:
-    """All events that are there."""
+    """Yield all waiting events."""
     while True:
         try:
             yield take(monitor)

@@ -1,14 +1,15 @@
-"""On which calibrations a device's numbers rest, and which of them cannot be relied on.
+"""The calibrations behind a device's numbers, and doubts about them.
 
-Each scale of a device file says when and at which board it was measured (`ScaleParams`). What is
-measured with the device rests on those of position and force, of active damping where it has any,
-of the probe and the winding's temperature where it relies on them, and of the compensated
-resistance where it has that. A calibration is in doubt when its table has no date, when it is older
-than the device file's `calibration_days`, dated after today, of another board than the device's, or
-found with a scale of force that has changed since: active damping is weighed in newtons.
-A simulated device is what its file says: nothing is asked for.
+Each scale of a device file contains the date and the board of its measurement (`ScaleParams`).
+Measurements with the device depend on the scales of position and force, and of those that it has or
+relies on: active damping, probe, winding temperature, compensated resistance. A calibration is in
+doubt if its table has no date, a date after today, or one older than the device file's
+`calibration_days`. It is also in doubt if it belongs to another board, or if its scale of force has
+changed since, because active damping is calibrated in newtons.
 
-Every scale that is used must be listed here.
+A simulated device matches its file by definition and needs no calibration.
+
+Every scale in use must be listed here.
 """
 
 import datetime
@@ -22,7 +23,7 @@ from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["CalibrationDoubt", "doubts", "refuse_doubts", "used_scales"]
 
-SAME_SCALE = 0.01  # relative: what a gain that is measured again may differ by
+SAME_SCALE = 0.01  # relative: tolerance of a repeated gain
 
 STEPS = {
     "position": "encoder",
@@ -36,7 +37,7 @@ STEPS = {
 
 @dataclass(frozen=True, slots=True)
 class CalibrationDoubt:
-    """A calibration that cannot be relied on, and why."""
+    """A doubtful calibration, with the reason."""
 
     table: str  # of the device file
     reason: str
@@ -46,7 +47,7 @@ class CalibrationDoubt:
 
     @property
     def remedy(self) -> str:
-        """How to be sure of it again."""
+        """The way to resolve the doubt."""
         if step := STEPS.get(self.table):
             return f"`hapticd rig {step}`"
         return (
@@ -55,8 +56,8 @@ class CalibrationDoubt:
 
 
 def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Mapping[str, Any]]:
-    """The scales, by table, on which measurements with `device` rest, which is as `hello` says it;
-    those of the probe as well if it is `probed`.
+    """Return the scales, by table, behind measurements with `device`, as given in `hello`; with
+    `probed` those of the probe as well.
     """
     names = ["position", "force"]
     if device["active_damping_limit_ns_per_m"] > 0.0:
@@ -74,8 +75,8 @@ def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Ma
 def doubts(
     servo: Mapping[str, Any], day: datetime.date, probed: bool = False
 ) -> tuple[CalibrationDoubt, ...]:
-    """Calibrations that cannot be relied on at `day`, of the `servo` that a hello tells of; of the
-    probe as well if it is `probed`.
+    """Return the calibrations in doubt at `day`, of the `servo` in a hello; with `probed` those of
+    the probe as well.
     """
     if servo["simulated"]:
         return ()
@@ -92,7 +93,7 @@ def doubts(
 
 
 def _outlived(table: str, device: Mapping[str, Any]) -> Iterator[str]:
-    """Why the active damping of `device` does not go with its scale of force."""
+    """Yield the reason if the active damping of `device` does not match its scale of force."""
     then_n = float(device.get("active_damping_with_force_n", 0.0))
     now_n = float(device["force"]["per_count"]) * I16_HIGHEST
     if table == "active_damping" and then_n and abs(now_n - then_n) > SAME_SCALE * then_n:
@@ -117,7 +118,7 @@ def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.dat
 
 
 def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
-    """AnalysisError that names each of `found`, if there are any."""
+    """Raise AnalysisError that lists `found`, if there are any."""
     if found:
         steps = ", ".join(dict.fromkeys(one.remedy for one in found))
         listed = "; ".join(map(str, found))

@@ -1,13 +1,13 @@
-"""The certificate of a rig: which one belongs to a device file, and whether that file has changed
-since.
+"""The certificate of a rig: the one that belongs to a device file, and whether that file has
+changed since.
 
-`hapticd rig verify` writes it beside the device file, as rig/NAME-certificate-HASH.json, with the
-first digits of the SHA-256 of the device file as it was then. So a file that was changed has none
-of its own, and the newest one that is there says what it was before. Recordings, run folders and
-.zwidth files carry what `certificate_of` and `certificate_beside` say, not the certificate itself.
+`hapticd rig verify` writes it next to the device file, as rig/NAME-certificate-HASH.json, with the
+first digits of the SHA-256 of the device file at that time. A changed file has no certificate of
+its own; the newest existing one describes its earlier state. Recordings, run folders and .zwidth
+files contain the result of `certificate_of` and `certificate_beside`, not the certificate itself.
 
-Limitations: a device file on another machine than the client that asks (there is none then, and
-nothing is said).
+Limitations: a device file on another machine than the client (it then has no certificate, without a
+message).
 """
 
 import hashlib
@@ -27,14 +27,14 @@ CHANGED = "the device file has changed since; repeat `hapticd rig verify`"
 
 
 def certificate_path(device_file: Path, device_file_sha256: str) -> Path:
-    """Where the certificate of `device_file` lies while it has that hash."""
+    """Return the path of the certificate of `device_file` with that hash."""
     name = f"{device_file.stem}-certificate-{device_file_sha256[:DIGITS]}.json"
     return device_file.parent / FOLDER / name
 
 
 def certificate_of(servo: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The certificate of the device file from which the `servo` of a hello was set up; None where
-    there is none, or the file is not on this machine.
+    """Return the certificate of the device file behind the `servo` of a hello; None if there is
+    none, or the file is not on this machine.
     """
     if not servo.get("device_file"):
         return None
@@ -42,9 +42,9 @@ def certificate_of(servo: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def certificate_beside(device_file: Path, device_file_sha256: str) -> dict[str, Any] | None:
-    """What is to be said of the certificate beside `device_file`: its `sha256`, `date` and
-    `verdict`, the `device_file_sha256` it is of, and in `changed` that the file is another now,
-    else "". None where there is none.
+    """Describe the certificate next to `device_file`: its `sha256`, `date` and `verdict`, the
+    `device_file_sha256` it belongs to, and in `changed` a note if the file has changed since,
+    otherwise "". None if there is none.
     """
     own = certificate_path(device_file, device_file_sha256)
     others = own.parent.glob(f"{device_file.stem}-certificate-*.json")
@@ -59,7 +59,7 @@ def _told(path: Path, device_file_sha256: str) -> dict[str, Any] | None:
         of = str(said["device"]["file_sha256"])
         told = {"date": str(said["date"]), "verdict": str(said["verdict"])}
     except (ConfigError, OSError, ValueError, LookupError, TypeError):
-        return None  # no certificate: nobody is to rely on it
+        return None  # not a certificate: do not rely on it
     return {
         "sha256": hashlib.sha256(content).hexdigest(),
         **told,

@@ -1,11 +1,11 @@
 """The energy ledger of a recording: for every tick the sums by cause since its first record.
 
-A finished file holds them in its group `energy`; of any other they are computed here, from the
-records, by the gateway's own ledger. Across a gap, and from one servo life to the next, no motion
-is booked. Recordings of boards that did not say which force was in effect are booked with the delay
-that was assumed then, so nothing in them is unexplained.
+A finished file contains them in its group `energy`. For any other file they are computed here, from
+the records, with the gateway's own ledger. Across a gap, and from one servo life to the next, no
+motion is booked. Recordings of boards that did not report the force in effect are booked with the
+delay assumed at the time, so nothing in them is unexplained.
 
-Limitations: records that lack a field which the ledger reads (`Recording.records` says so).
+Limitations: records without a field that the ledger reads (`Recording.records` raises the error).
 """
 
 from collections.abc import Iterator
@@ -24,8 +24,8 @@ ROWS_AT_ONCE = 1 << 15
 
 
 def energies(recording: Recording) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """First row, and sums [J] after each row from it on, (n, causes) in the order of DATASETS.
-    ConfigError: another version recorded it, and a field is missing.
+    """Yield first row, and sums [J] after each row from it on, (n, causes) in the order of
+    DATASETS. ConfigError if another version recorded it, and a field is missing.
     """
     ledger = Ledger(recording.params)
     for first, after, _ in recording.stretches():
@@ -35,7 +35,7 @@ def energies(recording: Recording) -> Iterator[tuple[int, NDArray[np.float64]]]:
 
 
 def total_j(recording: Recording) -> dict[str, float]:
-    """Energy [J] by cause of the whole recording. ConfigError as `energies`."""
+    """Return the energy [J] by cause of the whole recording. ConfigError as `energies`."""
     last = np.zeros(len(NAMES))
     if rows := recording.rows.get(GROUP, 0):
         last = np.array([recording.column(GROUP, name, rows - 1, rows)[0] for name in DATASETS])

@@ -1,11 +1,12 @@
-"""Opening what was recorded: finished files, live or crashed ones, flight recordings.
+"""Opening recordings: finished files, live or crashed ones, flight recordings.
 
 All become a `Recording`: columns read on demand, records as the servo wrote them, and the segments
-that can be replayed. A finished file is read as it is. Of a live or crashed one (see `live`) all
-whole frames count, and of a flight recording all records; both have the columns of a finished file.
+that can be replayed. A finished file is read directly. For a live or crashed one (see `live`) all
+complete frames count, and for a flight recording all records; both have the columns of a finished
+file.
 
-A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint up to the
-next gap, or to a tick whose requests were lost (`break`).
+A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint to the next
+gap, or to a tick whose requests were lost (`break`).
 
 A field must keep its meaning under its name.
 """
@@ -36,13 +37,13 @@ from hapticd.settings.inputs import SAMPLES_BYTES, regular
 
 __all__ = ["is_recording", "open_recording"]
 
-# what h5py, numpy and struct say where a file is damaged
+# errors of h5py, numpy and struct for a damaged file
 _UNREADABLE = (
     *(OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError, OverflowError),
     struct.error,
 )
 CHANNELS = {name: live.channels(rows) for name, rows in GROUPS.items()}
-UNITS = {"timestamp": "s"}  # of the groups that are no streams: there a name says no unit
+UNITS = {"timestamp": "s"}  # of groups other than streams, whose names contain no unit
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
 # computed from recorded channels; a finished file has them as datasets, too
@@ -50,7 +51,7 @@ COMPUTED = {"servo": ("t_s",), "probe": ("torque_n", "velocity_m_per_s", "t_s")}
 
 
 def udunits(name: str) -> str:
-    """Unit of a field as UDUNITS writes it: N s/m -> N s m-1."""
+    """Return the unit of a field in UDUNITS notation: N s/m -> N s m-1."""
     over, _, under = unit_of(name).partition("/")
     powers = [
         f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())
@@ -59,9 +60,9 @@ def udunits(name: str) -> str:
 
 
 class Recording:
-    """An opened recording: `attributes` say where it comes from, `column(group, name)` reads one
-    channel, `rows` counts the rows of each group. `dropped_bytes` at the end of a live file hold no
-    whole rows. Use it as a context manager.
+    """An open recording: `attributes` contain its origin, `column(group, name)` reads one channel,
+    `rows` counts the rows of each group. `dropped_bytes` at the end of a live file are an
+    incomplete frame. Use it as a context manager.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class Recording:
     ) -> None:
         self.path = path
         self.attributes = attributes
-        self.opened = ExitStack()  # what its end closes
+        self.opened = ExitStack()  # closed at its end
         self.dropped_bytes = dropped_bytes
         self._groups = groups
         self.rows = {
@@ -87,8 +88,8 @@ class Recording:
         self.opened.close()
 
     def names(self, group: str) -> list[str]:
-        """The channels of `group`, in the order of the records, then those that are computed
-        from them (`COMPUTED`).
+        """Return the channels of `group`, in the order of the records, then the computed ones
+        (`COMPUTED`).
         """
         there = self._groups.get(group, {})
         known = [channel.name for channel in CHANNELS.get(group, ()) if channel.name in there]
@@ -96,7 +97,7 @@ class Recording:
         return list(dict.fromkeys([*known, *there, *computed]))
 
     def column(self, group: str, name: str, begin: int = 0, end: int | None = None) -> NDArray[Any]:
-        """Rows begin..end of a channel: (n,), raw frames (n, bytes)."""
+        """Return rows begin..end of a channel: (n,), raw frames (n, bytes)."""
         if name not in self._groups[group] and name in COMPUTED.get(group, ()):
             return self._computed(group, name, begin, end)
         after = self.rows[group] if end is None else min(end, self.rows[group])
@@ -104,7 +105,7 @@ class Recording:
             return np.asarray(self._groups[group][name][begin:after])
 
     def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
-        """Seconds from the first record, or a signal of the probe in N or m/s."""
+        """Return seconds from the first record, or a signal of the probe in N or m/s."""
         if name == "t_s":
             count, rate_hz = CLOCKS[group]
             return np.asarray(
@@ -119,7 +120,7 @@ class Recording:
         )
 
     def unit(self, group: str, name: str) -> str:
-        """Unit of a channel as UDUNITS writes it; empty when it has none."""
+        """Return the unit of a channel in UDUNITS notation; empty if it has none."""
         if group in GROUPS and group not in STREAMS.values():
             return UNITS.get(name, "")
         return udunits(name)
@@ -138,14 +139,14 @@ class Recording:
 
     @property
     def missing(self) -> dict[str, int]:
-        """Records that are missing, by stream."""
+        """Number of missing records, by stream."""
         streams = self.column("gap", "stream")
         counts = self.column("gap", "missing")
         return {name: int(counts[streams == name.encode()].sum()) for name in ("servo", "probe")}
 
     def records(self, begin: int, end: int) -> Records:
-        """Rows as the records they were. ConfigError: another version recorded them and a field is
-        missing.
+        """Return rows as original records. ConfigError if another version recorded them and a field
+        is missing.
         """
         found = np.empty(end - begin, RECORD_DTYPE)
         self._check_fields(RECORD_DTYPE.names or ())
@@ -171,12 +172,14 @@ class Recording:
                 )
 
     def segments(self) -> list[Segment]:
-        """What can be replayed: of each stretch without a gap, from its first checkpoint on."""
+        """Return the segments that can be replayed: of each stretch without a gap, from its first
+        checkpoint on.
+        """
         found = (self._segment(*stretch) for stretch in self.stretches())
         return [segment for segment in found if segment is not None]
 
     def stretches(self) -> list[tuple[int, int, int]]:
-        """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
+        """Return (first row, row after the last, epoch) of consecutive ticks of one servo life."""
         tick = self.column("servo", "tick")
         lives = self.column("life", "row")
         gaps = np.flatnonzero(np.diff(tick) != 1) + 1
@@ -198,7 +201,7 @@ class Recording:
         return None
 
     def _table(self, group: str) -> list[dict[str, Any]]:
-        """The rows of a group as maps of plain values."""
+        """Return the rows of a group as maps of plain values."""
         names = self.names(group)
         columns = [self.column(group, name).tolist() for name in names]
         return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
@@ -222,7 +225,7 @@ class Recording:
 
 
 def open_recording(path: Path) -> Recording:
-    """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
+    """Open the recording in `path`, of any kind. ConfigError if it is not one or unreadable."""
     if path.suffix == flight.SUFFIX:
         found = flight.read_flight(regular(path, SAMPLES_BYTES))
         with _damage(path, "flight recording"):
@@ -270,13 +273,13 @@ def _check_schema(path: Path, attributes: Mapping[str, Any]) -> None:
 
 
 def as_text(value: Any) -> Any:
-    """`value` of an attribute, text of a fixed length as text."""
+    """Return `value` of an attribute, with fixed-length text decoded."""
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
 @contextmanager
 def _damage(path: Path, kind: str = "HDF5 file") -> Iterator[None]:
-    """Turn whatever is said of a file that cannot be read into a ConfigError that names it."""
+    """Turn any error of a reader into a ConfigError that names the file."""
     try:
         yield
     except _UNREADABLE as error:

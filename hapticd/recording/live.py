@@ -1,20 +1,21 @@
-"""The live file, and the way from messages of the daemon to its rows.
+"""The live file, and the conversion of the daemon's messages to its rows.
 
-A recorder only appends, so whatever ends it leaves what it wrote before:
+A recorder only appends, so written data survive any end of the recorder:
 
     hapticd-live/1 LF | bytes of header, u64 little-endian | header, JSON | frame | frame | ...
 
-The header holds `attributes`, and in `groups` numpy's description of the rows of each. A frame is
-what came in 100 ms: its CRC-32, which begins with that of all before the first frame; the number of
-rows of each group, u32 little-endian; then the rows. So the rows of all groups come together or not
-at all. The last frame is cut short where the recorder was killed or the disk was full. It does not
-count, nor does what follows a damaged one, and the bytes that are left out are counted. The rows
-stay in the mapped file until their columns are read.
+The header contains `attributes`, and in `groups` numpy's description of the rows of each. A frame
+is the data of 100 ms: its CRC-32, seeded with that of everything before the first frame; the number
+of rows of each group, u32 little-endian; then the rows. The rows of all groups are therefore
+written together or not at all. The last frame is incomplete if the recorder was killed or the disk
+was full. It is ignored, and so is everything after a damaged frame; the ignored bytes are counted.
+The rows stay in the mapped file until their columns are read.
 
-`Writer.take` gets payloads and `Writer.write` is called ten times a second; there is no socket and
-no clock here. A stream of records becomes one column a field, in units as UDUNITS writes them.
+`Writer.take` receives payloads and `Writer.write` is called ten times a second; this module has no
+socket and no clock. A stream of records becomes one column per field, with units in UDUNITS
+notation.
 
-No write may follow one that failed, and a file must have one writer.
+No write may follow a failed one, and a file must have one writer.
 """
 
 import struct
@@ -55,17 +56,17 @@ class Channel(NamedTuple):
     kind: str  # numpy's number type
     width: int  # bytes per row; 0: one number per row
     field: str  # of the rows
-    place: int | None = None  # in that field, where it holds several numbers
+    place: int | None = None  # in that field, if it holds several numbers
 
     def of(self, rows: Records) -> NDArray[Any]:
-        """Its values in `rows`: (n,), bytes (n, width)."""
+        """Return its values in `rows`: (n,), bytes (n, width)."""
         values = rows[self.field] if self.place is None else rows[self.field][:, self.place]
         shape = (-1, self.width) if self.width else (-1,)
         return np.frombuffer(values.tobytes(), self.kind).reshape(shape)
 
 
 def channels(rows: np.dtype[Any]) -> list[Channel]:
-    """The channels of rows of a type."""
+    """Return the channels of rows of a type."""
     found = []
     for name in (name for name in rows.names or () if name != LEFT_OUT):
         kind = rows[name].base.str
@@ -80,7 +81,7 @@ def channels(rows: np.dtype[Any]) -> list[Channel]:
 
 
 class Column:
-    """A channel of rows that lie in blocks, joined where they are read: len(), and [begin:end]."""
+    """A channel of rows in blocks, joined when read: len(), and [begin:end]."""
 
     def __init__(
         self, channel: Channel, blocks: Sequence[Records], edges: NDArray[np.int64]
@@ -103,7 +104,7 @@ class Column:
 
 
 def require_finished(path: Path) -> None:
-    """HapticdError while the live file at `path` is written."""
+    """Raise HapticdError while the live file at `path` is being written."""
     with path.open("rb") as file:
         try:
             flock(file, LOCK_SH | LOCK_NB)
@@ -114,7 +115,7 @@ def require_finished(path: Path) -> None:
 
 
 def columns(blocks: Sequence[Records]) -> dict[str, Column]:
-    """The columns of rows that lie in `blocks`, of one type; none without a block."""
+    """Return the columns of rows in `blocks`, of one type; none without a block."""
     if not blocks:
         return {}
     edges = np.cumsum([0, *map(len, blocks)])
@@ -122,8 +123,8 @@ def columns(blocks: Sequence[Records]) -> dict[str, Column]:
 
 
 class LiveFile:
-    """A new file at `path` with the `groups` of rows, of these types. HapticdError: it exists, or
-    cannot be made.
+    """A new file at `path` with the `groups` of rows, of these types. HapticdError if it exists, or
+    cannot be created.
     """
 
     def __init__(
@@ -144,8 +145,8 @@ class LiveFile:
         self._hand_over(header)
 
     def append(self, rows: Mapping[str, bytes]) -> None:
-        """Add rows of several groups as one frame, and hand it to the operating system: from here
-        on it survives the end of this process. OSError: nothing may be added any more.
+        """Add rows of several groups as one frame, and pass it to the operating system: from here
+        on it survives the end of this process. After an OSError nothing more may be added.
         """
         if any(rows.values()):
             data = {name: rows.get(name, b"") for name in self._row_bytes}
@@ -163,16 +164,16 @@ class LiveFile:
 
 
 def is_live(path: Path) -> bool:
-    """Whether the file at `path` is a live file, or was one. OSError: it cannot be read."""
+    """Whether the file at `path` is a live file, or was one. OSError if it cannot be read."""
     with path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC
 
 
 def read_live(path: Path) -> tuple[dict[str, Any], dict[str, list[Records]], int]:
-    """What is in the live file at `path`, which may grow meanwhile: its attributes, the blocks of
-    each group (the first is empty), and the bytes behind the last whole frame.
+    """Return the content of the live file at `path`, which may grow meanwhile: its attributes, the
+    blocks of each group (the first is empty), and the bytes after the last complete frame.
 
-    OSError, LookupError, TypeError, ValueError or struct.error: its header is damaged.
+    OSError, LookupError, TypeError, ValueError or struct.error if its header is damaged.
     """
     with path.open("rb") as file:
         data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
@@ -204,7 +205,7 @@ REQUEST = ("tick", "seq", "kind", "actor", "apply_tick")
 # by place and name, so that they sort by place: value_02_stiffness
 VALUES = tuple(f"value_{int(place):02}_{place.name.lower()}" for place in Value)
 assert len(VALUES) == COMMAND_VALUES
-# requests that are rows of `event` too: of the others the change of state is one
+# requests that become rows of `event`; for the others the change of state does
 CHANGES = frozenset(
     (Command.SET, Command.DAMPING, Command.ZERO, Command.PERTURB_START, Command.PERTURB_STOP)
 )
@@ -231,7 +232,7 @@ GROUPS: dict[str, np.dtype[Any]] = {
 
 class Writer:
     """Collects messages and writes them in blocks; records `seconds` after the first one, or later,
-    are left out.
+    are omitted.
     """
 
     def __init__(
@@ -245,9 +246,9 @@ class Writer:
         self._epoch: int | None = None
         self._newest: Block | None = None  # of ticks
         self.missing = dict.fromkeys(STREAMS, 0)
-        self.first_ns = 0  # time of the first record that was taken
-        self.last_ns = 0  # and of the newest
-        self.beyond = False  # a record came that lies after the end
+        self.first_ns = 0  # time of the first record
+        self.last_ns = 0  # time of the newest record
+        self.beyond = False  # a record after the end arrived
 
     @property
     def records(self) -> int:
@@ -277,8 +278,8 @@ class Writer:
         self._new["event"].append(table("event", self._changes(requests)))
 
     def _changes(self, requests: Iterable[Noted]) -> list[dict[str, Any]]:
-        """Rows of `event` for the requests that changed what is rendered, damped or played; their
-        time is that of their tick, counted from the newest record.
+        """Return rows of `event` for the requests that changed the environment, the damping or the
+        perturbation; their time is that of their tick, counted from the newest record.
         """
         return [
             {
@@ -324,7 +325,7 @@ class Writer:
         self._new[group].append(table(group, [row]))
 
     def write(self) -> None:
-        """Put everything taken into the file. OSError: it cannot be written (any more)."""
+        """Write all pending rows to the file. OSError if it cannot be written (any more)."""
         self.file.append(
             {name: b"".join(rows.tobytes() for rows in new) for name, new in self._new.items()}
         )
@@ -332,7 +333,9 @@ class Writer:
 
 
 def unix_s(block: Block, tick: int) -> float:
-    """The time of a tick, counted from the newest of `block` by the mean period of that."""
+    """Return the time of a tick, extrapolated from the newest record of `block` with the block's
+    mean period.
+    """
     first_tick, last_tick = block.records["tick"][[0, -1]].tolist()
     first_ns, last_ns = block.records["time_ns"][[0, -1]].tolist()
     away_ns = (tick - last_tick) * (last_ns - first_ns) / max(1, last_tick - first_tick)
@@ -340,7 +343,7 @@ def unix_s(block: Block, tick: int) -> float:
 
 
 def table(group: str, rows: Iterable[Mapping[str, Any]]) -> Records:
-    """Rows of a group as a structured array (n,)."""
+    """Return rows of a group as a structured array (n,)."""
     kind = GROUPS[group]
     return np.array([tuple(row[name] for name in kind.names or ()) for row in rows], kind)
 
@@ -351,8 +354,8 @@ def replay_rows(
     breaks: Iterable[int],
     checkpoints: Iterable[tuple[int, Any]],
 ) -> dict[str, Records]:
-    """Rows of the groups `request`, `break`, `checkpoint` and TEXT: the requests that the servo
-    obeyed in one life, the ticks at which some were lost, and its states (tick, state).
+    """Return rows of the groups `request`, `break`, `checkpoint` and TEXT: the requests that the
+    servo obeyed in one life, the ticks at which some were lost, and its states (tick, state).
     """
     states = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
     rows = {
@@ -365,7 +368,7 @@ def replay_rows(
 
 
 def change_words(values: Sequence[float]) -> str:
-    """What a command with these values asks for: `stiffness=100 N/m, ramp_s=0.05 s`."""
+    """Describe a command with these values: `stiffness=100 N/m, ramp_s=0.05 s`."""
     mask = int(values[Value.MASK])
     asked = [place for place in Value if place != Value.MASK and mask >> place & 1]
     limits = {place: VALUE_LIMITS.get(place) for place in asked}
@@ -374,7 +377,7 @@ def change_words(values: Sequence[float]) -> str:
 
 
 def event_row(event: dict[str, Any]) -> dict[str, Any]:
-    """An event of the daemon in fixed columns; fields without a column go into its text."""
+    """Return an event of the daemon in fixed columns; fields without a column go into its text."""
     columns_of_its_own = {"timestamp", "tick", "kind", "fault", "cause", "action", "remedy"}
     words = [f"{name}={value}" for name, value in event.items() if name not in columns_of_its_own]
     return {

@@ -1,15 +1,14 @@
-"""The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
-MATLAB opens; and its exports.
+"""The final file and its exports. The file is compressed, has checksums, and uses HDF5 1.8, which
+every Octave and MATLAB reads.
 
-The source may be a live file, whose recorder ended or died, or a flight recording. Both files are
-there for a while, so the disk must have room for another one of that size. The final file is
-written under a name of its own, put on the disk and only then renamed, so it is whole or absent;
-then a live file is removed, if all its bytes were read. A source that cannot be packed stays.
+The source may be a live file, whose recorder ended or died, or a flight recording. Both files exist
+for a while, so the disk must have room for another one of that size. The final file is written
+under a temporary name, flushed to the disk and only then renamed, so it is complete or absent. A
+live file is then removed, if all its bytes were read. A source that cannot be packed is kept.
 
-Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
-the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
-with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
-trial.
+Exports are MATLAB 5 (.mat) and comma-separated values. The computed columns of a finished file, the
+probe's signals in SI and seconds, are in the export of an unfinished one too. A text file ends with
+a line that begins with # and contains its origin, SIMULATED or not, and which part is one trial.
 
 The final file must use filters of HDF5 1.8 alone. The live file must stay until the final one is on
 the disk.
@@ -42,14 +41,14 @@ CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 FINAL = ".h5"
-LONGEST_TEXT = 60_000  # bytes of an attribute; 65,535 is what HDF5 puts into a header
+LONGEST_TEXT = 60_000  # bytes of an attribute; an HDF5 header holds 65,535
 LINES_AT_ONCE = 10_000  # of a text file
 GROUPS = ("servo", "probe", GROUP, "event", "gap", "life")  # of a MATLAB file
 FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
 def free_bytes(folder: Path) -> int:
-    """Room on the disk."""
+    """Return the free space of the disk."""
     return shutil.disk_usage(folder).free
 
 
@@ -59,8 +58,9 @@ def pack(
     recovered: bool = False,
     free_bytes: Callable[[Path], int] = free_bytes,
 ) -> dict[str, Any]:
-    """Write `final` from `source`, whole or not at all; returns {file, records, seconds, missing,
-    bytes} and the rest of `summary`. HapticdError: it cannot be written, and `source` stays.
+    """Write `final` from `source`, completely or not at all. Return {file, records, seconds,
+    missing, bytes} and the rest of `summary`. HapticdError if it cannot be written; `source` is
+    then kept.
     """
     import h5py
 
@@ -90,7 +90,7 @@ def pack(
 
 
 def _check_room(source: Path, final: Path, free_bytes: Callable[[Path], int]) -> None:
-    """HapticdError without room for a file as large as `source` beside it."""
+    """Raise HapticdError without room for a file as large as `source` next to it."""
     needed = regular(source).stat().st_size
     free = free_bytes(final.parent)
     if free < needed:
@@ -101,7 +101,7 @@ def _check_room(source: Path, final: Path, free_bytes: Callable[[Path], int]) ->
 
 
 def summary(recording: Recording) -> dict[str, Any]:
-    """Records, probe samples, seconds, missing records, servo lives."""
+    """Return records, probe samples, seconds, missing records, servo lives."""
     first_ns, last_ns = (
         int(np.sum(recording.column("servo", "time_ns", row, row + 1)))
         for row in (0, max(0, recording.rows["servo"] - 1))
@@ -119,9 +119,9 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def of_fixed_length(value: Any) -> Any:
-    """`value` of an attribute, text as UTF-8 of a fixed length: what may have any length lies in a
-    heap without a checksum, and HDF5 reads a damaged heap for ever, or dies of it. Only text that
-    is too long for a header stays as it is.
+    """Return `value` of an attribute, with text as fixed-length UTF-8. HDF5 stores text of variable
+    length in a heap without a checksum, and hangs or crashes on a damaged heap. Only text too long
+    for a header is not converted.
     """
     data = value.encode() if isinstance(value, str) else b""
     if not isinstance(value, str) or len(data) > LONGEST_TEXT:
@@ -130,7 +130,9 @@ def of_fixed_length(value: Any) -> Any:
 
 
 def _lost_slots(recording: Recording) -> int:
-    """Periods without a tick, since the host came late; the counter of each life begins at 0."""
+    """Return the number of periods without a tick, because the host was late; the counter of each
+    life begins at 0.
+    """
     counts = recording.column("servo", "lost_slots").astype(np.int64)
     more = np.diff(counts)
     return int(np.where(more < 0, counts[1:], more).sum())
@@ -174,7 +176,7 @@ def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -
 
 def _dataset(group: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any], unit: str) -> Any:
     rows, *row = shape
-    # HDF5 makes no chunks of nothing
+    # HDF5 does not allow empty chunks
     storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *row)} if rows else {}
     dataset = group.create_dataset(name, shape, kind, **storage)
     dataset.attrs["units"] = of_fixed_length(unit)
@@ -182,7 +184,7 @@ def _dataset(group: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any],
 
 
 def to_mat(recording: Recording, path: Path) -> Path:
-    """One structure per group, and `info` with the attributes. HapticdError: it cannot be
+    """Write one structure per group, and `info` with the attributes. HapticdError if it cannot be
     written.
     """
     io = need("scipy.io", "a .mat file")
@@ -204,8 +206,8 @@ def to_mat(recording: Recording, path: Path) -> Path:
 
 
 def to_csv(recording: Recording, path: Path) -> list[Path]:
-    """The records in `path`, one line a tick, units in the names; probe samples beside it in
-    NAME.probe.csv.
+    """Write the records to `path`, one line per tick, units in the names, and probe samples to
+    NAME.probe.csv next to it.
     """
     written = [_table(recording, "servo", path, remark(recording.attributes, None))]
     if recording.rows["probe"]:

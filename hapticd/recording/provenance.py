@@ -1,12 +1,12 @@
-"""Where numbers come from: software and its versions; of a recording also device, configuration,
+"""The provenance of numbers: software and its versions; for a recording also device, configuration,
 machine, rights, clocks.
 
-Whatever a run or a recording leaves on the disk carries this, so that its numbers can be traced to
-the code, the libraries and the machine that made them. Libraries that an extra brings are imported
-when they are first used, for the package must import without them.
+Every stored run or recording contains it, so that its numbers can be traced to the code, the
+libraries and the machine that made them. Libraries of extras are imported on first use, because the
+package must import without them.
 
-No attribute of the daemon may be read from this machine, for the daemon may run on another one.
-What belongs to the daemon is therefore taken from its own messages.
+Attributes of the daemon must come from its own messages, not from this machine, because the daemon
+may run on another one.
 """
 
 import hashlib
@@ -40,7 +40,7 @@ GIT_TIMEOUT_S = 5.0
 
 
 def provenance(**more: Any) -> dict[str, Any]:
-    """Of a run: the versions that its numbers come from, and whatever else is given."""
+    """Return the provenance of a run: the versions behind its numbers, and further items."""
     return {
         "hapticd": hapticd.__version__,
         "python": platform.python_version(),
@@ -50,7 +50,7 @@ def provenance(**more: Any) -> dict[str, Any]:
 
 
 def versions(libraries: tuple[str, ...]) -> dict[str, str]:
-    """Versions by name, of those `libraries` that are installed."""
+    """Return versions by name, of those `libraries` that are installed."""
     found = {}
     for name in libraries:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -59,11 +59,11 @@ def versions(libraries: tuple[str, ...]) -> dict[str, str]:
 
 
 def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str) -> dict[str, Any]:
-    """Attributes of a recording: from the daemon's hello and status, and from the header of the
-    first block of records.
+    """Return the attributes of a recording, from the daemon's hello and status, and from the header
+    of the first block of records.
 
-    mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time. Calibrations that
-    could not be relied on that day are named, and the certificate of the rig.
+    mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time. The attributes
+    list the calibrations in doubt that day and the certificate of the rig.
     """
     servo = to_plain(hello.servo)
     now_ns = time.time_ns()
@@ -97,11 +97,11 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
         "configuration": json.dumps(servo),
         "realtime": json.dumps(report.get("realtime", {})),
         "board": json.dumps(report.get("board", {})),
-        # held when it began; the others are events of kind lease
+        # held at the start; later ones are events of kind lease
         "leases": json.dumps(
             {what: f"{held.name} (actor {held.actor})" for what, held in status.leases.items()}
         ),
-        # null where the board does not measure it
+        # null if the board does not measure it
         "winding_c": nan if status.winding_c is None else float(status.winding_c),
         "hapticd_version": hapticd.__version__,
         "hapticd_commit": commit(),
@@ -120,8 +120,8 @@ def _json(value: Any) -> str:
 
 
 def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
-    """Commit of the checkout that runs, with -dirty when it was edited; empty for an installed
-    package or without git.
+    """Return the commit of the running checkout, with -dirty if it was edited; empty for an
+    installed package or without git.
     """
     command = ["git", "-C", str(folder), *DESCRIBE]
     try:

@@ -1,15 +1,14 @@
 """Recording a running daemon: an ordinary client that writes every tick, every probe sample and
 every event into one file.
 
-What was received is written and flushed every 100 ms, so a recorder that is killed loses no more
-than that; once a second a thread has the operating system put it on the disk, so a power failure
-loses about a second. A slow disk delays the flush: what comes meanwhile waits in ZeroMQ's queue
-(10,000 messages, minutes), and a queue that overflows shows as a gap with its size. Before the disk
-is full the recording ends in order; after a write error it ends at once, and what was flushed stays
-for `hapticd rec recover`.
+Received data are written and flushed every 100 ms, so a killed recorder loses no more than that.
+Once a second a thread syncs the file to the disk, so a power failure loses about a second. A slow
+disk delays the flush: data then wait in ZeroMQ's queue (10,000 messages, minutes), and a queue that
+overflows appears as a gap with its size. Before the disk is full the recording ends normally. After
+a write error it ends at once, and the flushed data remain for `hapticd rec recover`.
 
 The loop itself must not call `fdatasync`, which a slow disk delays for seconds. No write may follow
-one that failed (see `live`).
+a failed one (see `live`).
 """
 
 import os
@@ -32,10 +31,10 @@ from hapticd.recording.provenance import of_recording
 
 __all__ = ["RecordingParams", "RecordingProgress", "record"]
 
-FLUSH_PERIOD_S = 0.1  # what was received is written and flushed so often
-SYNC_PERIOD_NS = NS_PER_S  # the disk is synchronised and its room checked so often
-RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
-SILENCE_NS = 10 * NS_PER_S  # a daemon that publishes nothing for so long has ended
+FLUSH_PERIOD_S = 0.1  # period of writing and flushing
+SYNC_PERIOD_NS = NS_PER_S  # period of syncing the disk and checking its free space
+RESERVE_BYTES = 64 << 20  # the disk counts as full below this free space
+SILENCE_NS = 10 * NS_PER_S  # a daemon that is silent for longer has ended
 
 Message = tuple[str, bytes]  # topic and payload
 Answers = tuple[Hello, Status]  # the daemon's hello and status
@@ -43,7 +42,7 @@ Answers = tuple[Hello, Status]  # the daemon's hello and status
 
 @dataclass(frozen=True)
 class RecordingParams:
-    """What to record, and into which file."""
+    """The content and the file of a recording."""
 
     file: Path  # the final one (.h5)
     seconds: float | None = None  # of recorded time; None: until stopped
@@ -57,7 +56,7 @@ class RecordingParams:
 
 @dataclass(frozen=True)
 class RecordingProgress:
-    """How far a recording is."""
+    """The progress of a recording."""
 
     records: int  # ticks
     seconds: float  # of recorded time
@@ -74,10 +73,10 @@ def record(
     free_bytes: Callable[[Path], int] = pack.free_bytes,
 ) -> dict[str, Any]:
     """Record until `seconds` are recorded, `should_stop()`, the disk is nearly full or the daemon
-    has ended; then pack. Returns why it `ended`, and what `pack.pack` returns.
+    has ended; then pack. Return the reason in `ended`, and the result of `pack.pack`.
 
-    ConfigError: the file exists. HapticdError: it cannot be written, or there is no room for
-    packing; what was recorded is in the live file. DaemonDown: nothing was received.
+    ConfigError if the file exists. HapticdError if it cannot be written, or there is no room for
+    packing; the recorded data are then in the live file. DaemonDown if nothing was received.
     """
     check_free(params)
     ended = Recorder(source, params, clock or MonotonicClock(), free_bytes).run(should_stop, tell)
@@ -85,7 +84,7 @@ def record(
 
 
 def check_free(params: RecordingParams) -> None:
-    """ConfigError when a file is in the way or the folder is missing."""
+    """Raise ConfigError if a file is in the way or the folder is missing."""
     if params.file.suffix != pack.FINAL:
         raise ConfigError(f"{params.file}: a recording is called NAME{pack.FINAL}")
     for path, remedy in (
@@ -113,12 +112,12 @@ class Recorder:
         self._clock = clock
         self._free_bytes = free_bytes
         self._writer: Writer | None = None
-        self._early: list[Message] = []  # for replays: what came before the first records
+        self._early: list[Message] = []  # for replays: messages before the first records
 
     def run(
         self, should_stop: Callable[[], bool], tell: Callable[[RecordingProgress], None]
     ) -> str:
-        """Record into the live file; why it ended."""
+        """Record into the live file; return the reason for the end."""
         answers = (self._source.hello(), self._source.status())
         try:
             with (
@@ -136,7 +135,7 @@ class Recorder:
             ) from error
         finally:
             if self._writer is not None:
-                with suppress(OSError):  # said above, by the write that failed
+                with suppress(OSError):  # the failed write has reported the error
                     self._writer.file.close()
         return ended
 
@@ -178,7 +177,7 @@ class Recorder:
         if self._writer is not None:
             self._writer.take(topic, payload)
         elif topic == "flight":
-            # a checkpoint of a tick that is among the first records may come before them
+            # a checkpoint of one of the first records may arrive before them
             self._early.append((topic, payload))
         elif topic == "servo.raw":
             header = BlockDecoder().decode(payload).header

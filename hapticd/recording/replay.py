@@ -1,9 +1,8 @@
-"""Replay of a whole recording, one segment after the other, and what came out.
+"""Replay of a whole recording, one segment after the other, and its result.
 
 A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on; within
-one, `run.replay` runs the servo's own step on the recorded samples. The motion stays the
-recorded one: with settings held at other values a replay shows what the tick law would have
-commanded, not how the display would have moved.
+one, `run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded
+one. With other settings a replay shows the commands of the tick law, not the motion of the display.
 
 The result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
 Otherwise `first_difference` names that tick.
@@ -28,28 +27,28 @@ __all__ = ["ReplayResult", "replay_recording"]
 
 @dataclass(frozen=True, eq=False)
 class ReplayResult:
-    """A recording beside its replay, row by row."""
+    """A recording and its replay, row by row."""
 
     recorded: Records  # (n,)
     replayed: NDArray[np.void]  # (n,), the same fields
     segments: Sequence[tuple[int, int]]  # (first row, row after the last) of each
     first_difference: Difference | None  # None: bit-exact
-    left_out: int = 0  # recorded ticks before a checkpoint, from which a replay begins
+    left_out: int = 0  # recorded ticks before a checkpoint, which cannot be replayed
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Seconds from the first record that was replayed (n,)."""
+        """Seconds from the first replayed record (n,)."""
         time_ns = self.recorded["time_ns"]
         return np.asarray((time_ns - time_ns[0]) / NS_PER_S)
 
     @property
     def first_force_tick(self) -> int | None:
-        """The tick from which on the force is another one; None: it never is."""
+        """The first tick at which the force differs; None if it never does."""
         changed = np.flatnonzero(self.recorded["force_n"] != self.replayed["force_n"])
         return int(self.recorded["tick"][changed[0]]) if changed.size else None
 
     def to_json(self) -> dict[str, Any]:
-        """Counts, the first difference, and rms and peak of both forces [N]."""
+        """Return counts, the first difference, and rms and peak of both forces [N]."""
         recorded = self.recorded["force_n"]
         replayed = self.replayed["force_n"]
         forces = {"recorded": recorded, "replayed": replayed, "difference": replayed - recorded}
@@ -75,8 +74,8 @@ class ReplayResult:
 def replay_recording(
     recording: Recording, instead: dict[Value, float] | None = None
 ) -> ReplayResult:
-    """Replay all segments of `recording`; `instead`: settings held at other values. ConfigError:
-    it holds no segment.
+    """Replay all segments of `recording`; `instead`: settings to replace. ConfigError if it
+    contains no segment.
     """
     segments = recording.segments()
     if not segments:

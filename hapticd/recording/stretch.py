@@ -1,14 +1,14 @@
-"""The part of a recording that is one trial, and the remark that carries it in a text file.
+"""The part of a recording that is one trial, and the remark that stores it in a text file.
 
-A recording is longer than a trial: its longest stretch is taken in which the servo was enabled, the
-probe shook the device (if it ever did) and nothing was changed. What was rendered in it, the
-largest command, and which slots were lost are those of the ticks. The second in which the device
-settles after the perturbation began is left out, as in a live trial.
+A recording is longer than a trial. The trial is its longest stretch in which the servo was enabled,
+the probe perturbed the device (if it ever did) and nothing was changed. The ticks give the rendered
+environment, the largest command, and the lost slots. The second in which the device settles after
+the start of the perturbation is left out, as in a live trial.
 
-An exported table of text has no attributes, so its last line, the remark, says where it comes from
-and, beside the probe's samples, which part is the trial.
+An exported text file has no attributes. Its last line, the remark, contains its origin and, for the
+probe's samples, which part is the trial.
 
-Limitations: a recording whose board began anew in the middle; then another servo life begins, which
+Limitations: a recording whose board restarted in the middle; another servo life then begins, which
 ends the stretch.
 """
 
@@ -39,9 +39,9 @@ __all__ = [
 
 SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "
-TAIL_BYTES = 8192  # in which the remark of a text file stands
-SERVO_COLUMNS = {"tick", "revision", "force_n"}  # a table that has these is one of ticks
-PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # one of probe samples
+TAIL_BYTES = 8192  # at the end of a text file that contain the remark
+SERVO_COLUMNS = {"tick", "revision", "force_n"}  # columns of a table of ticks
+PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # columns of a table of probe samples
 RENDERED_COLUMNS = (
     "stiffness_n_per_m",
     "virtual_damping_ns_per_m",
@@ -69,7 +69,7 @@ class Stretch:
 
     first: int  # row of the probe
     after: int  # row after the last
-    environment: tuple[float, float, float]  # K [N/m], B [N s/m], M [kg] that were rendered
+    environment: tuple[float, float, float]  # rendered K [N/m], B [N s/m], M [kg]
     active_damping_ns_per_m: float  # active damping
     max_command_n: float  # largest |force|
     command_limit_n: float
@@ -80,9 +80,7 @@ class Stretch:
 
 
 def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
-    """The last line of a text file: where it comes from, and of the probe's which part is one
-    trial.
-    """
+    """Return the last line of a text file: its origin, and the trial in the probe's."""
     content: dict[str, Any] = {
         name: attributes[name] for name in REMARK_ATTRIBUTES if name in attributes
     }
@@ -93,8 +91,8 @@ def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
 
 
 def read_remark(path: Path) -> dict[str, Any] | None:
-    """What the last line of a text file says of it; None if this package did not write it.
-    ConfigError: the line was changed. OSError: the file cannot be read.
+    """Return the content of the last line of a text file; None if this package did not write it.
+    ConfigError if the line was changed. OSError if the file cannot be read.
     """
     with path.open("rb") as file:
         size = file.seek(0, 2)
@@ -111,8 +109,8 @@ def read_remark(path: Path) -> dict[str, Any] | None:
 
 
 def stretch(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Stretch:
-    """The longest part of a recording in which nothing was changed. AnalysisError without ticks
-    or probe samples.
+    """Return the longest part of a recording in which nothing was changed. AnalysisError without
+    ticks or probe samples.
     """
     probe_ns = np.asarray(column("probe", "time_ns"), np.int64)
     tick_ns = np.asarray(column("servo", "time_ns"), np.int64)
@@ -149,7 +147,7 @@ def stretch(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Str
 
 
 def _longest(column: ReadColumn) -> tuple[int, int]:
-    """First and last tick of the longest run that is fit for a trial."""
+    """Return first and last tick of the longest run that is fit for a trial."""
     fit = _fit(column)
     keys = np.stack(
         [np.asarray(column("servo", name), np.float64) for name in ("revision", *RENDERED_COLUMNS)]
@@ -163,7 +161,7 @@ def _longest(column: ReadColumn) -> tuple[int, int]:
 
 
 def _fit(column: ReadColumn) -> Flags:
-    """Ticks (n,) that were enabled and perturbed, or only enabled; all where none was."""
+    """Return ticks (n,) that were enabled and perturbed, or only enabled; all if none was."""
     enabled = (np.asarray(column("servo", "state")) == State.ENABLED) & (
         np.asarray(column("servo", "gain")) >= 1.0
     )

@@ -21,7 +21,7 @@ MAPPINGS = ("prewarped", "bilinear", "matched")
 
 
 def design(frequency_hz: float, damping_ratio: float, mapping: str, rate_hz: float) -> Biquad:
-    """Coefficients of a second-order low-pass.
+    """Return the coefficients of a second-order low-pass.
 
     `mapping`: "prewarped" bilinear (-3 dB point kept), plain "bilinear", or "matched" poles without
     zeros. ConfigError if the corner is not inside 0..rate/2, the damping ratio not positive, or the
@@ -60,13 +60,13 @@ def _matched(angle: float, zeta: float) -> Biquad:
 
 
 def scaled(biquad: Biquad, gain: float) -> Biquad:
-    """The same filter with DC gain `gain`; differences become derivatives with the rate as gain."""
+    """Return the filter with DC gain `gain`; with the rate as gain, it gives derivatives."""
     b0, b1, b2, a1, a2 = biquad
     return gain * b0, gain * b1, gain * b2, a1, a2
 
 
 def steady(biquad: Biquad, y: float) -> tuple[float, float]:
-    """State of a filter whose output has been `y` for ever, at the input that keeps it there."""
+    """Return the steady state of a filter with constant output `y`."""
     b0, b1, b2, a1, a2 = biquad
     u = y * (1.0 + a1 + a2) / (b0 + b1 + b2)
     return y - b0 * u, b2 * u - a2 * y

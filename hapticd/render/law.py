@@ -1,4 +1,4 @@
-"""The tick law: from a position to a force, written once.
+"""The tick law: from a position to a force, implemented once.
 
     v = LP_velocity[(x_n - x_{n-1}) / T]            second-order low-pass, 100 Hz
     a = LP_acceleration[(x_n - 2 x_{n-1} + x_{n-2}) / T^2]   second-order low-pass, 72 Hz
@@ -6,11 +6,11 @@
                                                     2008, section 2)
 
 The field is a unilateral wall and the springs at the ends of the workspace. The servo runs `render`
-in CPython; the batch engine compiles the same functions with numba. Therefore: floats and tuples of
-floats in and out, no attribute access, no defaults, no keyword arguments, coefficients designed
-outside, helpers called only in the rare case. Both filters always run, so that B and M may be
-switched on without a jump. The rate is folded into the filter coefficients: they act on
-differences. Positive force pushes to positive x.
+in CPython; the batch engine compiles the same functions with numba. The code therefore has floats
+and tuples of floats as arguments and results, and no attribute access, defaults or keyword
+arguments. Coefficients are designed outside, and helpers are called only in the rare case. Both
+filters always run, so that B and M may be switched on without a jump. The rate is folded into the
+filter coefficients: they act on differences. Positive force pushes to positive x.
 
 A compiler must use neither fastmath nor contraction (bits would differ from CPython), and
 coefficients must be for the rate. A limit must test that the force is not inside it, not that the
@@ -38,12 +38,12 @@ __all__ = [
 ]
 
 LawState = tuple[float, float, float, float, float, float]
-# What acts in one tick, as `render` names it, then environment.FURTHER. It is no form of an
-# Environment: the gain is multiplied in, every ramp is at its place of this tick, and bias, limit
-# and ends of the travel are beside it. An Environment made in every tick would cost the hot path an
-# allocation, and numba compiles no attribute access here.
+# The inputs of one tick, as `render` names them, then environment.FURTHER. An Environment does not
+# fit: these include the gain, every ramp's value at this tick, bias, limit and ends of the travel.
+# Creating an Environment in every tick would cost the hot path an allocation, and numba compiles no
+# attribute access here.
 LawInputs = tuple[float, ...]
-# places in the inputs
+# indices into the inputs
 MASS: Final = 2
 LIMIT: Final = 4
 Coefficients = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -107,8 +107,8 @@ def render(
 def design_coefficients(
     velocity: FilterParams, acceleration: FilterParams, rate_hz: float
 ) -> Coefficients:
-    """Coefficients for differences at `rate_hz`: the first filter gives m/s, the second m/s^2.
-    ConfigError as `design`.
+    """Return the coefficients for differences at `rate_hz`: the first filter gives m/s, the second
+    m/s^2. ConfigError as `design`.
     """
     first = design(velocity.frequency_hz, velocity.damping_ratio, velocity.mapping, rate_hz)
     second = design(
@@ -118,7 +118,7 @@ def design_coefficients(
 
 
 def at_rest(x: float) -> LawState:
-    """The state of a device that has been at rest at `x` for ever."""
+    """Return the steady state of a device at rest at `x`."""
     return x, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
@@ -130,8 +130,8 @@ def split(coefficients: Coefficients) -> tuple[Biquad, Biquad]:
 def wall_force(
     x: float, v: float, stiffness: float, damping: float, position: float, side: float
 ) -> float:
-    """Force [N] of a wall that is solid where (x - position) * side > 0: spring and damper,
-    never pulling (Colgate 1994).
+    """Return the force [N] of a wall that is solid where (x - position) * side > 0: spring and
+    damper, never pulling (Colgate 1994).
     """
     depth = (x - position) * side
     if depth > 0.0:
@@ -142,7 +142,7 @@ def wall_force(
 
 
 def end_force(x: float, lower: float, upper: float, stiffness: float) -> float:
-    """Force [N] of the springs that begin at the ends of the workspace; 0 between them."""
+    """Return the force [N] of the springs at the ends of the workspace; 0 between them."""
     if x > upper:
         return -stiffness * (x - upper)
     if x < lower:
@@ -151,7 +151,7 @@ def end_force(x: float, lower: float, upper: float, stiffness: float) -> float:
 
 
 def clamp(force: float, limit: float) -> float:
-    """`force` [N] held inside +-limit; NaN becomes 0."""
+    """Return `force` [N] limited to +-limit; NaN becomes 0."""
     if force > limit:
         return limit
     if force < -limit:

@@ -29,17 +29,17 @@ class Ramp(NamedTuple):
         return tick < self.start_tick + self.ticks and self.start != self.end
 
     def towards(self, end: float, tick: int, ticks: int) -> "Ramp":
-        """A ramp that starts now from where this one is."""
+        """Return a ramp that starts now from the present value."""
         return Ramp(self.value(tick), end, tick, ticks)
 
 
 def constant(value: float) -> Ramp:
-    """A ramp that has arrived."""
+    """Return a finished ramp."""
     return Ramp(value, value, 0, 0)
 
 
 def approach(value: float, target: float, step: float) -> float:
-    """`value` moved towards `target` by at most `step` >= 0."""
+    """Return `value` moved towards `target` by at most `step` >= 0."""
     if target > value + step:
         return value + step
     if target < value - step:

@@ -1,17 +1,17 @@
 """The range of the winding's temperature, and the part of its resistance that a board may
 compensate. Standard library only.
 
-The damping circuit (Weir 2008, section 5) takes the back-EMF from the motor's voltage by
-subtracting R_hat i. Copper's resistance grows by 0.393 %/K, R_hat does not by itself:
+The damping circuit (Weir 2008, section 5) derives the back-EMF from the motor's voltage by
+subtracting R_hat i. Copper's resistance grows by 0.393 %/K; R_hat does not follow by itself:
 
     R(T)  = R_ref (1 + a (T - T_ref))        R_hat = base + trim        dR = R(T) - R_hat
     alpha = 1 / (1 + g dR / K^2)             K: endpoint force per ampere, g: active damping
 
 alpha scales damping AND force. A winding hotter than the circuit assumes is safe but weak. A colder
-one (dR < 0) makes both stronger, and the circuit oscillates at g dR / K^2 = -1. So the trim follows
-R(T) from below,
+one (dR < 0) makes both stronger, and the circuit oscillates at g dR / K^2 = -1. The trim therefore
+follows R(T) from below,
 
-    trim = R(T_c) - base - tolerance,   held in 0 .. full scale
+    trim = R(T_c) - base - tolerance,   limited to 0 .. full scale
 
 with T_c the sensor's temperature, but at most the hot end of the winding's range. Without a sensor
 T_c is the cold end. Both ends come from a winding that the motor's current heats,
@@ -19,9 +19,9 @@ T_c is the cold end. Both ends come from a winding that the motor's current heat
     dT/dt = (T_ambient + R_th R(T) i^2 - T) / tau
 
 with every uncertain value (ambient, R_th, tau) at its hot end for the one and at its cold end for
-the other. In between, the solution for a held current is exact. An unknown current is taken to be
-0: both ends cool down, and the compensation is too small. Whatever the sensor reads, the loop gain
-against the coldest possible winding stays above -0.3 at the highest active damping of the device.
+the other. In between, the solution for a held current is exact. An unknown current is taken as 0:
+both ends cool down, and the compensation is too small. For any sensor reading, the loop gain with
+the coldest possible winding stays above -0.3 at the highest active damping of the device.
 
 Limitations: a current that reads too high without a sensor, a winding below the coldest ambient of
 the device file, a second time constant (a housing that warms up) outside `model_error`.
@@ -51,21 +51,21 @@ HOT: Final = 1.0
 
 
 class Winding(NamedTuple):
-    """What is known of the winding, and the trim in force."""
+    """The known range of the winding, and the trim in effect."""
 
-    tick: int = 0  # of the last look at it
+    tick: int = 0  # of the last update
     due_tick: int = 0  # of the next one
-    low_c: float = 0.0  # it is at least as hot
-    high_c: float = 0.0  # and at most
+    low_c: float = 0.0  # cold end of its range
+    high_c: float = 0.0  # hot end of its range
     trim_ohm: float = 0.0
     dac_count: int = 0  # for that
 
 
 def unheated(params: ResistanceParams) -> Winding:
-    """A winding of which nothing is known but the surroundings, not compensated beyond count 0.
+    """Return a winding with the range of its surroundings only, not compensated beyond count 0.
 
-    One that is hotter already, because the host began anew, is compensated too little until it has
-    cooled down to what the model believes.
+    One that is already hotter, because the host restarted, is compensated too little until it has
+    cooled down to the model's temperature.
     """
     return Winding(low_c=params.ambient_low_c, high_c=params.ambient_high_c)
 
@@ -78,8 +78,8 @@ def ohm(params: ResistanceParams, celsius: float) -> float:
 def heated(
     params: ResistanceParams, winding: Winding, ampere2: float, elapsed_s: float, limit_c: float
 ) -> Winding:
-    """`winding` after `elapsed_s` with the square of its current at `ampere2` [A^2]. Neither end
-    goes beyond `limit_c`: hotter ends the force.
+    """Return `winding` after `elapsed_s` with the square of its current at `ampere2` [A^2]. Neither
+    end exceeds `limit_c`, because a hotter winding ends the force.
     """
     low_c = _warmed(params, winding.low_c, params.ambient_low_c, ampere2, elapsed_s, COLD)
     high_c = _warmed(params, winding.high_c, params.ambient_high_c, ampere2, elapsed_s, HOT)
@@ -108,8 +108,8 @@ def target_ohm(
     sensor_c: float | None,
     active_damping_ns_per_m: float,
 ) -> float:
-    """The trim [ohm] that `winding` should have; `sensor_c` None or not finite: no sensor.
-    `active_damping_ns_per_m`: the highest that the device may be asked for.
+    """Return the trim [ohm] for `winding`; `sensor_c` None or not finite: no sensor.
+    `active_damping_ns_per_m`: the highest level that the device allows.
     """
     celsius = winding.low_c
     if sensor_c is not None and isfinite(sensor_c):
@@ -121,7 +121,7 @@ def target_ohm(
 
 
 def over_compensation_ohm(params: ResistanceParams, active_damping_ns_per_m: float) -> float:
-    """By how many ohm more than the winding has may be compensated at that damping."""
+    """Return how many ohm beyond the winding's resistance may be compensated at that damping."""
     if active_damping_ns_per_m <= 0.0:
         return inf
     return -LEAST_LOOP_GAIN * params.force_n_per_a**2 / active_damping_ns_per_m
@@ -130,13 +130,13 @@ def over_compensation_ohm(params: ResistanceParams, active_damping_ns_per_m: flo
 def loop_gain(
     params: ResistanceParams, residual_ohm: float, active_damping_ns_per_m: float
 ) -> float:
-    """g dR / K^2."""
+    """Return g dR / K^2."""
     return active_damping_ns_per_m * residual_ohm / params.force_n_per_a**2
 
 
 def least_residual_ohm(params: ResistanceParams, limit_c: float) -> float:
-    """The least dR [ohm] that a sensor can bring about by reading too high, once a current has
-    acted for long: T_c is the hot end of the model, at most `limit_c`, the winding at its cold one.
+    """Return the minimum dR [ohm] that a sensor can cause by reading too high, after a long
+    current: T_c is the hot end of the model, at most `limit_c`, the winding at its cold one.
 
     Both ends at the same current: T_low = ambient_low + share R(T_low) / R(limit), linear in T_low.
     """

@@ -134,11 +134,11 @@ def page(said: Mapping[str, Any]) -> str:
         _table((), _about(said)),
         "<h2>Known parts, as the probe sees them</h2>",
         _table(("part", "value (95 %)"), values),
-        "<h2>What was looked at</h2>",
+        "<h2>Checks</h2>",
         _table(("", "what", "what to do"), found),
         "<h2>Calibrations</h2>",
         _table(("table", "date", "board", "source"), scales),
-        "<h2>Not verified here</h2>",
+        "<h2>Not verified</h2>",
         _table((), [(one,) for one in said["not_verified"]]),
         "<p>It holds for this device file and this board. Whoever changes the file, the board, its"
         " firmware or the mechanics repeats <code>hapticd rig verify</code>.</p>",

@@ -171,7 +171,7 @@ def _table(document: Any, dotted: str) -> Any:
             found[name] = tomlkit.table()
         found = found[name]
         if isinstance(found, InlineTable) or not hasattr(found, "items"):
-            raise tomlkit.exceptions.TOMLKitError(f"{name} is no table of its own")
+            raise tomlkit.exceptions.TOMLKitError(f"{name} is not a table of its own")
     return found
 
 

@@ -132,7 +132,7 @@ def plausible(name: str, per_count: float, scale: Mapping[str, Any], remedy: str
     `remedy` applies if the ratio is implausible: a mass in grams, another sensor.
     """
     ratio = per_count / (int(scale["sign"]) * float(scale["per_count"]))
-    what = f"{name}: a count is {ratio:.4g} of what the device file says"
+    what = f"{name}: a count is {ratio:.4g} of the value in the device file"
     if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
         return Finding(what, "refused", remedy)
     return checked(what, ratio > 0.0, "its sign is the other one; the device file gets it")

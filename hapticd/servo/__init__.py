@@ -4,7 +4,7 @@ layers below.
     host        prepare, relax: real-time rights, requested from the operating system
     loop        ServoLoop: the only `while`
     wait, rehearsal        the wait for a deadline, which warms the caches meanwhile
-    connection  BoardConnection: a board that is lost, searched for, or has restarted
+    connection  BoardConnection: the loss, search and return of a board
     step        initial_state, make_step: one tick as a function, the fast path
     slow_path   the slow path of a tick: commands, ramps, homing
     causes      the fault of a sample, as its number
@@ -16,10 +16,10 @@ layers below.
     safety      TABLE: the state after each command, and the torque and damping of a state
     inbox       Inbox: requests and faults due at a tick; Streamer: a waveform into the board's FIFO
     board_check, watchdog_trial   checks of a board before it may make force; frames withheld
-    glitch, monitors       doubts about a sample; signs of a limit cycle
-    easing, ramp_energy    the limit on the force step of a change, and on the energy that it adds
+    glitch, monitors       doubtful samples; signs of a limit cycle
+    easing, ramp_energy    the limits on the force step and on the energy of a change
     commissioning          the monitor while the signs are not verified
-    compensation           updates of the winding's temperature and of its compensation
-    energy_controller      ends a leak before the fault `energy` has to
+    compensation           the temperature of the winding and its compensation
+    energy_controller      ends an energy leak before it becomes the fault `energy`
     late                   the cause of a late tick
 """

@@ -37,25 +37,25 @@ UNMEASURED: Final = "the bus could not be measured, so nobody knows what rate it
 
 
 class BoardCheck(NamedTuple):
-    """What was found."""
+    """The result of a check."""
 
     differences: tuple[str, ...] = ()  # between hello and device file, in words
-    transport: Transport | None = None  # None: the link failed while it was measured
-    host: int = 0  # host flags that go with every sample
-    uncompensated: str = (
-        ""  # why the winding's resistance is not, where the device file asks for it
-    )
-    hello: HelloFrame | None = None  # None: there is no board
+    transport: Transport | None = None  # None: the link failed during the measurement
+    host: int = 0  # host flags of every sample
+    uncompensated: str = ""  # why a configured compensation of the winding's resistance is off
+    hello: HelloFrame | None = None  # None: no board
     unsampled: str = ""  # why samples of probe and perturbation are lost at this rate
-    lives: int = NOT_LOOKED_AT  # of the board before the one in which it was looked at
+    lives: int = NOT_LOOKED_AT  # number of the board's life that was checked
 
     def barred(self, reason: str) -> "BoardCheck":
-        """The same board as long as nobody knows whose it is, for that `reason`."""
+        """Return the check of a board that may make no force until it is identified, for that
+        `reason`.
+        """
         host = self.host | DEVICE_DIFFERS
         return self._replace(differences=(reason,), host=host, lives=NOT_LOOKED_AT)
 
     def report(self) -> dict[str, Any]:
-        """As servo.report says it."""
+        """Return the content for servo.report."""
         transport = None if self.transport is None else self.transport._asdict()
         board = {} if self.hello is None else self.hello._asdict()
         if self.hello is not None:
@@ -73,7 +73,7 @@ class BoardCheck(NamedTuple):
 
 
 def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck:
-    """Look at the board that `device` has greeted; nothing is found where there is none."""
+    """Check the board that `device` has greeted; the result is empty without one."""
     hello = device.hello
     if hello is None:
         return BoardCheck()
@@ -88,8 +88,8 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
 def check_again(
     device: Device, params: ServoParams, clock: Clock, before: BoardCheck
 ) -> BoardCheck:
-    """Look again at the board of `before`, which has started anew or was not looked at yet; its bus
-    is measured if it could not be.
+    """Check the board of `before` again, after it has restarted or was not checked yet. Its bus is
+    measured if that failed before.
     """
     lives = device.counts["lives"]
     try:
@@ -104,7 +104,9 @@ def check_again(
 
 
 def compared(hello: HelloFrame, params: ServoParams, transport: Transport | None) -> BoardCheck:
-    """What a board that says `hello`, on a bus with that `transport`, is for `params`."""
+    """Return the check of a board with this `hello`, on a bus with that `transport`, against
+    `params`.
+    """
     found = differences(hello, params.device)
     host = DEVICE_DIFFERS if found else 0
     if transport is not None and transport.rate_hz < params.realtime.rate_hz:
@@ -123,7 +125,9 @@ def compared(hello: HelloFrame, params: ServoParams, transport: Transport | None
 
 
 def uncompensated(capabilities: int) -> str:
-    """Why a board with these capabilities gets resistance count 0; empty if it takes others."""
+    """Return why a board with these capabilities gets resistance count 0; empty if it accepts
+    others.
+    """
     if capabilities & Capability.RESISTANCE_TRACKED:
         return "the board follows the winding's resistance by itself"
     if not capabilities & Capability.RESISTANCE:

@@ -26,11 +26,11 @@ from hapticd.usb.frames import StatusBit
 NO_AUTHORITY = BY_CODE["no_authority"].number
 FRAMES_LOST = BY_CODE["frames_lost"].number
 SENSOR_GLITCH = BY_CODE["sensor_glitch"].number
-SHORT_S = 1.0  # beside the ramp of enabling: until force that is withheld again is given up
+SHORT_S = 1.0  # in addition to the ramp of enabling: limit for force that is withheld again
 
 
 class Causes:
-    """What is wrong, by the limits of `params`."""
+    """The causes of faults, with the limits of `params`."""
 
     def __init__(self, params: ServoParams) -> None:
         self._params = params
@@ -41,11 +41,11 @@ class Causes:
         self._longest_short = round_half_up(longest_s * params.realtime.rate_hz)
 
     def cool(self, temperature: int) -> bool:
-        """Whether the count of the winding's temperature is inside its limits."""
+        """Return whether the count of the winding's temperature is inside its limits."""
         return self._low_count <= temperature <= self._high_count
 
     def present(self, status: int, temperature: int, host: int) -> int:
-        """Number of what is wrong at this moment, 0 if nothing is."""
+        """Return the number of a fault that is present, 0 for none."""
         if not host & LINK_UP:
             return BY_CODE["usb_lost"].number
         if status & BOARD_FAULT:
@@ -56,8 +56,8 @@ class Causes:
         return 0
 
     def under_force(self, sample: Sample) -> int:
-        """As `present`, with what is harmless as long as there is no force: it keeps from
-        enabling and from a reset.
+        """Return a fault as `present`, or one that matters only under force. It prevents an enable
+        and a reset.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         if found := self.present(status, temperature, host):
@@ -67,8 +67,8 @@ class Causes:
         return FRAMES_LOST if -arrival > self._params.safety.missing_frames_limit else 0
 
     def against_force(self, sample: Sample) -> int:
-        """As `under_force`, with what may pass within a few ticks under force (contacts
-        bounce): it keeps from enabling and from a reset too.
+        """Return a fault as `under_force`, or a condition that may pass within a few ticks under
+        force (contacts bounce). It prevents an enable and a reset too.
         """
         _, status, _, _, host, _, _, _, _ = sample
         if found := self.under_force(sample):
@@ -77,8 +77,8 @@ class Causes:
         return 0 if ready and not status & StatusBit.EMERGENCY_STOP else NO_AUTHORITY
 
     def newly_lost(self, plan: Plan, sample: Sample, tick: int) -> int:
-        """Number of a fault that this sample brings, 0 for none; losses that matter only under
-        force wait for force.
+        """Return the number of a fault that this sample causes, 0 for none. Losses that matter only
+        under force count only under force.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         if plan.state not in GRANTED:
@@ -98,6 +98,6 @@ class Causes:
         return self.under_force(sample)
 
     def _given_up(self, plan: Plan, tick: int) -> bool:
-        """Whether force that was withheld is so again, and has not been whole for too long."""
+        """Return whether force is withheld again without having been complete for too long."""
         short = plan.state is State.ENABLED and plan.unauthorised and plan.short_since >= 0
         return bool(short) and tick - plan.short_since > self._longest_short

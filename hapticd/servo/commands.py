@@ -53,43 +53,42 @@ from hapticd.servo.plan import (
 from hapticd.servo.safety import GRANTED, LATCHED, State
 
 MOST_SCHEDULED = 16
-# places of a bounded change that its end does not bring back
+# places of a bounded change that its end does not restore
 UNBOUNDED = frozenset({Value.ENVIRONMENT_REVISION, Value.TERMS, Value.UNTIL_TICK})
 STRENGTHS = frozenset({*STRENGTH_VALUES, Value.WALL_SIDE})
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
-# whose mask is looked at
+# commands with a mask
 MASKED = SETTINGS | {
     Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS
 }  # fmt: skip
-STOP_HELD_S = 1.0  # after a press, for which it is not for others to reset
-WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
-# faults after which the encoder's count is not believed
+STOP_HELD_S = 1.0  # after a press, only its actor may reset
+WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # required by a perturbation
+# faults after which the encoder's count is not trusted
 ENCODER_LIES = frozenset({BY_CODE["sensor_range"].number, BY_CODE["sensor_glitch"].number})
 
 
 class CommandContext(NamedTuple):
-    """What a command may depend on beside the plan."""
+    """The conditions of a command besides the plan."""
 
     tick: int
-    last_tick: int  # whose parameters the force that acts was made with
+    last_tick: int  # the tick whose parameters made the acting force
     encoder: int
-    force_n: float  # as last sent, 0 where the board has taken it
+    force_n: float  # as last sent; 0 if the board has withdrawn it
     gateway: bool
-    cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
+    cause: int  # number of the fault that would occur under force now, 0: none
     bar: Result | None = None  # why this board may make no force at all
-    believed: bool = True  # `encoder` came in this tick, as the samples before it led to expect
-    heard: bool = True  # frames say whether the board grants torque
+    believed: bool = True  # `encoder` arrived in this tick and continues the samples before it
+    heard: bool = True  # frames show whether the board grants torque
 
 
 def answer(
     plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams
 ) -> Answer:
-    """The receipt: result, revision, ticks and the values as they act, after quantisation."""
+    """Return the receipt: result, revision, ticks and the effective values, after quantisation."""
     return seq, int(result), plan.fault, plan.revision, ticks, _effective(plan, params)
 
 
 def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
-    """What `plan` leads to, by layout.Value."""
     effective = [0.0] * COMMAND_VALUES
     for place, value in target(plan, params).row().items():
         effective[place] = value
@@ -102,7 +101,7 @@ def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
 
 
 def target(plan: Plan, params: ServoParams) -> Environment:
-    """Where the ramps of `plan` end, with its level of active damping as quantised."""
+    """Return the end of the ramps of `plan`, with its level of active damping as quantised."""
     velocity, acceleration = plan.filters
     count = damping_count(plan.active_damping_asked, params)
     found = Environment(
@@ -114,8 +113,8 @@ def target(plan: Plan, params: ServoParams) -> Environment:
 
 
 def force_acts(plan: Plan, tick: int) -> bool:
-    """Whether force acts by the authority of `plan`'s state. What was granted in this very tick,
-    after a disable or reset in it too, has not reached the board.
+    """Return whether force acts by the authority of `plan`'s state. Authority that was granted in
+    this tick, also after a disable or reset in it, has not reached the board.
     """
     return plan.state in GRANTED and plan.since_tick < tick
 
@@ -123,8 +122,8 @@ def force_acts(plan: Plan, tick: int) -> bool:
 def enter(
     plan: Plan, state: State, now: CommandContext, params: ServoParams, actor: int, fault: int = 0
 ) -> Plan:
-    """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table
-    says.
+    """Return `plan` in `state`, with gain, remaining force, damping and perturbation from the
+    safety table.
     """
     gain, fade = _ramps_into(plan, state, now, params)
     entered = plan._replace(
@@ -141,7 +140,7 @@ def enter(
         revision=following(plan.revision),
     )
     if state is not State.ENABLED:
-        # a trial that switched the faults off does not leave them so
+        # a trial may have switched the faults off: restore the configuration
         default = params.safety.limit_cycle_faults
         entered = entered._replace(wave=NO_WAVE, limit_cycle_faults=default)
     if state in LATCHED:
@@ -152,8 +151,8 @@ def enter(
 def _ramps_into(
     plan: Plan, state: State, now: CommandContext, params: ServoParams
 ) -> tuple[Ramp, Ramp]:
-    """How the force comes into a state, or goes: ramps of the law's gain, and of the force that was
-    sent last [N], for ticks without a sample.
+    """Return the ramps of the force into a state. They are those of the law's gain, and of the last
+    sent force [N] for ticks without a sample.
     """
     rate_hz = params.realtime.rate_hz
     limits = params.safety
@@ -163,20 +162,20 @@ def _ramps_into(
         gain = Ramp(0.0, 1.0, now.tick, round_half_up(limits.enable_ramp_s * rate_hz))
     if state in LATCHED and force_acts(plan, now.tick):
         ticks = round_half_up(limits.stop_ramp_s * rate_hz)
-        # from what was in force, not from where its ramp would be by now: easing may hold it back
+        # from the value in force, not from its ramp: easing may have held it back
         gain = Ramp(plan.gain.value(now.last_tick), 0.0, now.tick, ticks)
         fade = Ramp(now.force_n, 0.0, now.tick, ticks)
-    if state in LATCHED and plan.state in LATCHED:  # what fades already is not renewed
+    if state in LATCHED and plan.state in LATCHED:  # a fade does not restart
         gain = plan.gain
         fade = plan.fade
     return gain, fade
 
 
 def _origin_kept(entered: Plan, now: CommandContext) -> Plan:
-    """`entered`, a state just entered, with what that means for the position origin."""
+    """Return `entered`, a state just entered, with the effect on the position origin."""
     if entered.state is State.ENABLED:
         return entered._replace(origin_used=True)
-    if entered.state is State.HOMING:  # whoever asks for an origin does not trust the one there is
+    if entered.state is State.HOMING:  # a request for an origin discards the present one
         lost = without_origin(entered._replace(origin_used=True))
         return lost._replace(homing=begin(now.tick, now.encoder))
     return without_origin(entered) if entered.fault in ENCODER_LIES else entered
@@ -185,7 +184,7 @@ def _origin_kept(entered: Plan, now: CommandContext) -> Plan:
 def obey(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """`plan` after `request`, with its receipts; a refused request changes nothing."""
+    """Return `plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
     if kind == safety.ORPHANED_EVENT:
         return plan, [answer(plan, seq, Result.REFUSED_NO_GATEWAY, (now.tick, now.tick), params)]
@@ -240,15 +239,15 @@ def obey(
 
 
 def held_until(plan: Plan, params: ServoParams) -> int:
-    """The first tick at which anyone may reset what was stopped; 0 if nothing was."""
+    """Return the first tick at which any client may reset a stop; 0 without one."""
     if plan.stop_tick < 0:
         return 0
     return plan.stop_tick + round_half_up(STOP_HELD_S * params.realtime.rate_hz)
 
 
 def _pressed(plan: Plan, actor: int, now: CommandContext, params: ServoParams) -> Plan:
-    """`plan` after a press of stop by `actor`. Who presses while another's press holds may not
-    release that: then nobody may before the time.
+    """Return `plan` after a press of stop by `actor`. If another's press still holds, no client may
+    reset it before its time.
     """
     others = now.tick < held_until(plan, params) and actor != plan.stop_owner
     return plan._replace(stop_tick=now.tick, stop_owner=0 if others else actor)
@@ -287,7 +286,7 @@ def _target(
 
 
 def _mute(plan: Plan, now: CommandContext) -> Result | None:
-    """Why no perturbation may begin while force is withheld; it would play at its return."""
+    """Return why no perturbation may start while force is withheld; it would play at its return."""
     if not now.heard:
         return Result.REFUSED_CAUSE
     return Result.REFUSED_NO_AUTHORITY if plan.unauthorised else None
@@ -329,17 +328,19 @@ def _settings(
 
 
 def _until(values: tuple[float, ...]) -> float:
-    """The slot at which what `values` ask for ends; infinity for no end."""
+    """Return the slot at which the change in `values` ends; infinity without an end."""
     return values[Value.UNTIL_TICK] if bounded(values) else inf
 
 
 def bounded(values: tuple[float, ...]) -> bool:
-    """Whether what `values` ask for has an end."""
+    """Return whether the change in `values` has an end."""
     return Value.UNTIL_TICK in masked_places(values)
 
 
 def _taken(scheduled: Sequence[Scheduled]) -> int:
-    """Places that `scheduled` take of MOST_SCHEDULED: what is bounded has one for its end."""
+    """Return the entries of MOST_SCHEDULED that `scheduled` takes: a bounded change has one for its
+    end.
+    """
     return sum(1 + bounded(one.values) for one in scheduled)
 
 
@@ -367,7 +368,7 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
 def _cancel(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """What others than its actor have scheduled of these places is cancelled, each one whole."""
+    """Cancel the scheduled changes of these places by other actors, each as a whole."""
     seq, _, actor, _, values = request
     here = (now.tick, now.tick)
     places = masked_places(values)
@@ -383,19 +384,18 @@ def _cancel(
 
 
 def _ends(one: Scheduled) -> bool:
-    """Whether it is the end of a bounded change."""
+    """Return whether it is the end of a bounded change."""
     return Value.TERMS in masked_places(one.values) and one.values[Value.TERMS] == ANY_TERMS
 
 
 def _stays(one: Scheduled, plan: Plan) -> bool:
-    """Whether it is such an end, and each strength that it names stays or goes towards 0."""
+    """Return whether it is such an end, and each of its strengths stays or goes towards 0."""
     named = STRENGTHS.intersection(masked_places(one.values))
     ways = ((one.values[at], plan.values[at].end) for at in named)
     return _ends(one) and all(min(now, 0.0) <= value <= max(now, 0.0) for value, now in ways)
 
 
 def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """`plan` without the scheduled changes `gone`, and their receipts."""
     after = plan._replace(scheduled=tuple(one for one in plan.scheduled if one not in gone))
     ends = [(one.seq, (one.tick, one.tick)) for one in gone]
     return after, [answer(after, seq, Result.CANCELLED, at, params) for seq, at in ends]
@@ -404,8 +404,8 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 def _terms(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """The terms that count from now on. What is scheduled was judged by them, is the end of what is
-    bounded, or is cancelled.
+    """Set the terms in force from now on. Scheduled changes are cancelled, unless they were judged
+    by these terms or are the end of a bounded change.
     """
     seq, _, _, _, values = request
     here = (now.tick, now.tick)
@@ -423,8 +423,8 @@ def _terms(
 
 
 def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
-    """Why what `values` ask for may not come into force: it was judged for another environment than
-    that of `plan`, or by other terms.
+    """Return why the change in `values` may not take effect. It was judged for another environment
+    than that of `plan`, or by other terms.
     """
     named = masked_places(values)
     if Value.TERMS in named and values[Value.TERMS] not in (plan.terms, ANY_TERMS):
@@ -436,8 +436,8 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """The settings of `one` come into force at its tick. An end that others judged and that would
-    raise a strength is cancelled.
+    """Apply the settings of `one` at its tick. The end of a bounded change that was judged by other
+    terms is cancelled if it would raise a strength.
     """
     if _ends(one) and one.terms != plan.terms and not _stays(one, plan):
         return plan, [answer(plan, one.seq, Result.CANCELLED, (one.tick, one.tick), params)]
@@ -457,10 +457,9 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
 
 
 def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
-    """What brings back what `one` changes of `before`, at the tick at which it ends."""
     effective = list(_effective(before, params))
     until = one.values[Value.UNTIL_TICK]
-    for end in before.scheduled:  # what has ended by then is not brought back
+    for end in before.scheduled:  # do not restore values that end by then
         if _ends(end) and end.tick <= until:
             for place in masked_places(end.values):
                 effective[place] = end.values[place]
@@ -474,8 +473,8 @@ def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:
-    """Whether no force comes through the filters at `tick`: none acts, or B, M and the wall's
-    damping are 0, none of them on its way. Homing brakes through the velocity filter.
+    """Return whether no force passes the filters at `tick`. No force acts, or B, M and the wall's
+    damping are 0 and do not ramp. Homing brakes through the velocity filter.
     """
     if plan.state is State.HOMING:
         return False

@@ -24,11 +24,11 @@ from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, 
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.device import SEED
 
-UNKNOWN_S: Final = 0.5  # a longer time without a look: nothing is known of the current in it
+UNKNOWN_S: Final = 0.5  # after a longer time without a reading, its current is unknown
 
 
 def compensated(plan: Plan, sample: Sample, held_n: float, tick: int, params: ServoParams) -> Plan:
-    """`plan` with the compensation that `sample` asks for; `held_n` [N] is the force sent last."""
+    """Return `plan` with the compensation for `sample`; `held_n` [N] is the last sent force."""
     table = params.device.resistance
     if table is None:
         return plan
@@ -41,7 +41,7 @@ def compensated(plan: Plan, sample: Sample, held_n: float, tick: int, params: Se
 
 
 def _able(sample: Sample) -> bool:
-    """Whether the board of `sample` takes a count, and may still have the last one."""
+    """Return whether the board of `sample` takes a count, and may still have the last one."""
     _, _, _, arrival, host, _, _, _, _ = sample
     return host & (LINK_UP | COMPENSATES) == LINK_UP | COMPENSATES and arrival != SEED
 
@@ -54,7 +54,6 @@ def _looked(
     tick: int,
     params: ServoParams,
 ) -> Winding:
-    """`winding` after a look."""
     _, _, temperature, arrival, host, _, _, _, _ = sample
     device = params.device
     elapsed_s = (tick - winding.tick) / params.realtime.rate_hz
@@ -76,8 +75,8 @@ def _looked(
 
 
 def _ampere2(table: ResistanceParams, sample: Sample, held_n: float, params: ServoParams) -> float:
-    """Square of the motor's current [A^2], as the board reports it or as the force in effect
-    takes it; that does not count what active damping adds, so it errs on the cold side.
+    """Return the square of the motor's current [A^2], as reported by the board or from the force in
+    effect. The latter omits the current of active damping, so it errs on the cold side.
     """
     _, status, _, _, _, _, _, current, _ = sample
     if table.heat_from == "current":
@@ -86,6 +85,8 @@ def _ampere2(table: ResistanceParams, sample: Sample, held_n: float, params: Ser
 
 
 def _interval(tick: int, rate_hz: float) -> int:
-    """Periods until the next look: 0.05 to 0.15 s, spread evenly by the golden section."""
+    """Return the periods until the next reading: 0.05 to 0.15 s, spread evenly by the golden
+    section.
+    """
     share = tick * 2_654_435_761 % (1 << 32) / (1 << 32)
     return max(1, round((0.05 + 0.1 * share) * rate_hz))

@@ -28,8 +28,8 @@ from hapticd.usb.search import BoardSearch, Tell
 
 
 class BoardConnection:
-    """The board of `device`: `linked` while it is there, and what its last `check` found. `tell` is
-    given why it is not back, "" once it is.
+    """The board of `device`: `linked` while it is there, and the result of its last `check`. `tell`
+    is called with the reason why it is not back, and with "" once it is.
     """
 
     def __init__(
@@ -48,20 +48,20 @@ class BoardConnection:
         self._inbox = inbox
         self.tell = tell
         self._search = BoardSearch(device, self._told)
-        self._looks = 0  # at this board that failed, one after the other
-        self._look_ns = 0  # no look before that
+        self._looks = 0  # consecutive failed checks of this board
+        self._look_ns = 0  # time of the next check
         self.linked = device.hello is not None
         self.check = check_board(device, params, clock)
         self._note_look()
 
     @property
     def host(self) -> int:
-        """The host flags while all is well."""
+        """The host flags without a fault."""
         return LINK_UP | GATEWAY_ALIVE | self.check.host
 
     def sensor_lines(self) -> tuple[tuple[float, float], ...]:
-        """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
-        back-EMF velocity. NaN where the board does not measure.
+        """Return slope and intercept of value = count * slope + intercept, for temperature,
+        current, voltage and back-EMF velocity. NaN where the board does not measure.
         """
         device = self._params.device
         scales = (device.temperature, device.current, device.voltage, device.emf_velocity)
@@ -71,14 +71,14 @@ class BoardConnection:
         return (0.0, nan) if self.check.host & NO_TEMPERATURE else heat, *others
 
     def lose(self, now_ns: int) -> None:
-        """The board is gone: release it and look for it later."""
+        """Release a lost board, and start the search for it."""
         self.linked = False
         self._device.close()
         self._search.begin(now_ns)
 
     def look_for(self, now_ns: int) -> bool:
-        """Look for the board once its time has come; whether it answers again. Its filters start
-        anew with the next frame and the state stays latched.
+        """Search for the board when due; return whether it answers again. Its filters restart with
+        the next frame, and the state stays latched.
         """
         hello = self._search.look(now_ns)
         if hello is None:
@@ -91,15 +91,15 @@ class BoardConnection:
         return True
 
     def seed(self) -> None:
-        """The first frame of a link, or of a board that has started anew without leaving the bus:
-        it may have been flashed.
+        """Note the first frame of a link, or of a board that has restarted on the bus and may have
+        been flashed.
         """
         self._note_look()
         if self._inbox.unlooked:
             self.check = self.check.barred(STARTED_ANEW)
 
     def look_again(self, out_flags: int, period_ns: int) -> bool:
-        """Check the board again unless force acts, because each request may take 100 ms. Returns
+        """Check the board again unless force acts, because each request may take 100 ms. Return
         whether it took longer than a tick; `out_flags` are those of the last one.
         """
         began_ns = self._clock.now_ns()
@@ -114,13 +114,13 @@ class BoardConnection:
         return now_ns - began_ns > period_ns
 
     def let_go(self, settled: TickConstants) -> None:
-        """Send a frame without torque that leaves the damping as it is, and release the board: its
-        watchdog holds the damping and releases it, as after a crash.
+        """Send a frame without torque that keeps the damping, and release the board. Its watchdog
+        holds the damping and releases it, as after a crash.
         """
         zero = self._params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
         try:
             if self.linked:
-                self._device.link.drain()  # that of the last tick: this one is the last
+                self._device.link.drain()  # the transfer of the last tick
                 self._device.send(
                     OutFlag.FIFO_CLEAR.value, zero, settled.damping_count, settled.resistance_count
                 )
@@ -129,12 +129,11 @@ class BoardConnection:
         self._device.close()
 
     def _note_look(self) -> None:
-        """Take down whether the board has been looked at since it started."""
         self._inbox.unlooked = self.check.lives != self._device.counts["lives"]
         self._inbox.waiting |= self._inbox.unlooked
 
     def _told(self, reason: str) -> None:
-        """Why the board is not back, "" once it is; said where others read it."""
+        """Report why the board is not back, "" once it is."""
         self._report({"waiting_for": reason})
         self.tell(reason)
 
@@ -142,4 +141,4 @@ class BoardConnection:
         try:
             self._mailbox.report(self._mailbox.last_report | news)
         except MailboxError:
-            pass  # no room for the report: the counters say that a board came back
+            pass  # no room for the report: the counters show that a board came back

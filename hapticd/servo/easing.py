@@ -4,15 +4,15 @@ allows.
     |F(x, v, a; parameters of this tick) - F(x, v, a; those of the last)| <= limits.force_step_n
 
 Both are the law at the sample of this tick. The limit therefore applies to the step of an enable or
-of a change of parameters, and not to an impact on a stiff wall. Where that step would be too large,
-all values on their way, the gain included, move by a share of it and continue in the next tick. A
-ramp then ends later than requested, and records show the values that were in force. Whatever
-removes the whole force (disable, stop, fault, the ramp from 0 after a gap) is not held back.
-Without a sample the force is held, and during a stop or fault the force that acted ramps down. In
-both cases the parameters wait.
+of a change of parameters, and not to an impact on a stiff wall. If that step is too large, all
+ramping values, the gain included, move by a share of it and continue in the next tick. A ramp then
+ends later than requested, and records show the values in force. A change that removes the whole
+force (disable, stop, fault, the ramp from 0 after a gap) is not held back. Without a sample the
+force is held, and during a stop or fault the acting force ramps down. In both cases the parameters
+wait.
 
 The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
-is computed again with all values that do not fall unchanged (`servo.ramp_energy`).
+is computed again with changes of decreasing values only (`servo.ramp_energy`).
 
 The force is continuous in the share, but neither monotonic nor linear (clamp, walls, gain times
 value), so bisection finds the share. A step lies between half the bound and the bound, and any
@@ -32,31 +32,31 @@ from hapticd.servo import ramp_energy
 from hapticd.servo.plan import Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, State
 
-HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
+HALVINGS = 40  # of the step of one tick: from the whole range of a value to an imperceptible step
 
 
 class RateLimited(NamedTuple):
-    """A plan whose parameters went as far as they may in this tick."""
+    """A plan whose parameters moved as far as allowed in this tick."""
 
     plan: Plan
     flags: int  # of the record: EASED, PAUSED
 
 
 class Step(NamedTuple):
-    """A step of the parameters, and what is then rendered."""
+    """A step of the parameters, and the resulting environment."""
 
     plan: Plan
     environment: LawInputs
 
 
 class StepContext(NamedTuple):
-    """What a step of the parameters is judged by in this tick."""
+    """The conditions for a step of the parameters in this tick."""
 
     x: float  # m
     v: float  # m/s, as the law has it
     force_n: float  # with the parameters of the last tick
     law: LawState
-    environment: LawInputs  # that was in force in the last tick
+    environment: LawInputs  # in force in the last tick
     coefficients: Coefficients
     tick: int
     last_tick: int
@@ -71,14 +71,14 @@ def eased(
     tick: int,
     params: ServoParams,
 ) -> RateLimited:
-    """`plan` with its parameters as far on their way at `tick` as the device's force step and
-    energy of ramps allow.
+    """Return `plan` with its parameters at `tick` as far as the force step and the energy of ramps
+    allow.
 
-    `settled` is of the tick before, `law` and `coefficients` are those that this tick's position
-    `x` [m] meets; None: there is no sample, and the force is held.
+    `settled` belongs to the tick before; `law` and `coefficients` apply at this tick's position `x`
+    [m]. None: there is no sample, and the force is held.
     """
     before = settled.plan
-    last_tick = settled.wake_tick - 1  # while a ramp runs; else any tick gives the same values
+    last_tick = settled.wake_tick - 1  # during a ramp; otherwise any tick gives the same values
     if plan.state in LATCHED:
         fading = plan.gain.value(tick) > 0.0 and isfinite(params.device.force_step_n)
         held = on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
@@ -97,12 +97,12 @@ def eased(
 
 
 def with_flag(plan: Plan, slower: Plan) -> RateLimited:
-    """`slower`, which is `plan` itself where nothing was held back."""
+    """Return `slower` with its flag; `slower` is `plan` itself if nothing was held back."""
     return RateLimited(slower, 0 if slower is plan else int(Flag.EASED))
 
 
 def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) -> Step:
-    """`plan` as far on its way as the force step allows."""
+    """Return `plan` advanced as far as the force step allows."""
     bound_n = params.device.force_step_n
     limit_n = params.force_limit_n
     workspace = params.soft_ends
@@ -121,8 +121,8 @@ def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) ->
 def budgeted(
     plan: Plan, before: Plan, step: Step, here: StepContext, params: ServoParams
 ) -> RateLimited:
-    """`step`, a step of `plan`, or where it would bring in too much one of what falls alone; with
-    what it brings in booked.
+    """Return `step` with its energy booked. If that would exceed the budget, only decreasing values
+    of `plan` move.
     """
     rate_hz = params.realtime.rate_hz
     budget_j = params.device.ramp_energy_j
@@ -142,8 +142,8 @@ def budgeted(
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:
-    """`plan` with every parameter at `tick` only `share` of the way from where `before` had it at
-    `last_tick`, and on its way from there; a gain that fades goes its own way.
+    """Return `plan` with every parameter at `tick` only `share` of the way from its value in
+    `before` at `last_tick`, and on its ramp from there. A fading gain is not changed.
     """
 
     def part(old: Ramp, new: Ramp) -> Ramp:

@@ -1,4 +1,4 @@
-"""Ends an energy leak before the fault `energy` has to: first with active damping, then with a
+"""End an energy leak before it causes the fault `energy`: first with active damping, then with a
 weaker environment.
 
 The ledger's excess E (`render.energy`) is energy that the display gave out without cover. In motion
@@ -6,27 +6,27 @@ under an environment that the credited damping makes passive, E stays below a tw
 `limits.energy_j`, the bound of the fault. A leak exceeds any bound: it grows by a fifth in a tick
 where a wall at five times its limit drives a light handle. So beyond SHARE of that bound
 
-    1. the active damping rises to the device's ceiling, with a slew of its own. It acts in the
-       board's analog circuit, without sampling and delay, and the level that the board then reports
-       is credited in E;
+    1. the active damping rises to the device's limit, with a separate slew. It acts in the board's
+       analog circuit, without sampling and delay, and the level that the board then reports is
+       credited in E;
     2. for every further STEP of the bound that leaks after that (twice as much until the active
-       damping had a chance), K, B and M and those of the wall are halved. The force steps by no
-       more than `limits.force_step_n` on the way. The next halving waits until this one shows.
+       damping has taken effect), K, B and M and those of the wall are halved. The force steps by no
+       more than `limits.force_step_n`. The next halving waits for the effect of this one.
 
 The leak is counted from the last step on. E itself decays with a time constant of a second, so the
 rest of the former excess is subtracted. Credit is not stored: E starts at 0 whenever the device
 took more than it was given. Minutes without a leak therefore do not delay a step by a tick.
 
 Both are changes by the servo itself: revision and environment revision count them, the actor is 0,
-and they stay until a change names the value again. No virtual damping is added. Behind a lag or a
+and they stay until a change sets the value again. No virtual damping is added. Behind a lag or a
 delay it feeds the motion that it should brake; without them the halving is as effective. Behind a
 first-order lag of the force (`force_smoothing_hz`, where a model contains it) E is booked with the
 lagged force, mean of each period:
 
     f_n = e f_{n-1} + (1 - b) F_n + (b - e) F_{n-1},   e = exp(-w T), b = (1 - e) / (w T)
 
-The controller acts while the fault `energy` is on, so never in a measurement, and only on force
-that acts. If the leak goes on, the fault ends it.
+The controller acts while the fault `energy` is on, so never in a measurement, and only while force
+acts. If the leak continues, the fault ends it.
 
 Limitations: an `energy_j` so large that a tenth of it is too much for a hand, or a credit above the
 device's true damping.
@@ -42,25 +42,26 @@ from hapticd.servo.monitors import Bounds
 from hapticd.servo.plan import Control, Plan
 from hapticd.servo.safety import State
 
-SHARE: Final = 0.06  # of the fault's bound: there it begins
-STEP: Final = 0.025  # of it: what may leak before the next halving
-SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
+SHARE: Final = 0.06  # of the fault's bound: threshold of the controller
+STEP: Final = 0.025  # of it: leak before the next halving
+SHOWS_TICKS: Final = 3  # from a step to its effect at the board, at a delay of two periods
 
 
 def is_on(params: ServoParams) -> bool:
-    """Whether the configuration asks for it and the ledger has a bound."""
+    """Return whether it is configured and the ledger has a bound."""
     return params.safety.energy_controller and (params.device.physical_damping_ns_per_m is not None)
 
 
 def budget_j(params: ServoParams) -> float:
-    """Excess [J] beyond which it looks; infinite where it is off."""
+    """Return the excess [J] above which the controller acts; infinite if it is off."""
     return SHARE * params.device.energy_limit_j if is_on(params) else inf
 
 
 def lag(params: ServoParams) -> tuple[float, float, float] | None:
-    """How the force lags behind its command on this device, as far as it has to be known: shares of
-    a period's mean force that are the mean of the period before, the force commanded for this
-    period, and that of the period before.
+    """Return the lag of the force behind its command on this device, if it matters.
+
+    The numbers are weights for a period's mean force: of the mean of the period before, the force
+    commanded for this period, and that of the period before.
     """
     corner_hz = params.device.force_smoothing_hz
     if not is_on(params) or not corner_hz > 0.0:
@@ -74,8 +75,8 @@ def lag(params: ServoParams) -> tuple[float, float, float] | None:
 def controlled(
     plan: Plan, excess_j: float, ticks: tuple[int, int], params: ServoParams, bound: Bounds
 ) -> Plan:
-    """`plan` after what `excess_j` [J] says; itself where there is nothing to do. `ticks`: the last
-    one and this one.
+    """Return `plan` after the reaction to `excess_j` [J]; the same object without one. `ticks`: the
+    last one and this one.
     """
     last_tick, tick = ticks
     if not excess_j > budget_j(params) or not plan.limit_cycle_faults:
@@ -87,7 +88,7 @@ def controlled(
     if ceiling > (plan.active_damping_asked if plan.active_damping_on else 0.0):
         more = changed(plan, now, (Value.ACTIVE_DAMPING,))
         return more._replace(active_damping_asked=ceiling, active_damping_on=True)
-    # since the last step, beyond what is left of the excess of then
+    # since the last step, above the decayed excess of that time
     left_j = plan.control.excess_j * bound.kept ** (tick - plan.control.tick)
     leaked = (excess_j - left_j) / params.device.energy_limit_j
     untried = plan.control.places == (Value.ACTIVE_DAMPING,)
@@ -98,15 +99,15 @@ def controlled(
 
 
 def shows_ticks(params: ServoParams) -> int:
-    """Ticks until a halving shows in the force of this device."""
+    """Return the ticks until a halving appears in the force of this device."""
     corner_hz = params.device.force_smoothing_hz
     settling = params.realtime.rate_hz / (tau * corner_hz) if corner_hz > 0.0 else 0.0
     return SHOWS_TICKS + ceil(settling)
 
 
 def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
-    """`plan` with half of what leaks, which was in force at `last_tick` (easing may have held it
-    back); at once as far as the force step allows.
+    """Return `plan` with half of the values in force at `last_tick`; at once as far as the force
+    step allows. Easing may have held them back.
     """
     in_force = {place: plan.values[place].value(last_tick) for place in STRENGTH_VALUES}
     felt = {place: value for place, value in in_force.items() if value}
@@ -117,7 +118,7 @@ def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
 
 
 def changed(plan: Plan, now: Control, places: tuple[int, ...]) -> Plan:
-    """`plan` with a change of `places` by the servo itself."""
+    """Return `plan` with a change of `places` by the servo itself."""
     held = tuple(sorted({*now.places, *map(int, places)}))
     return plan._replace(
         control=now._replace(places=held),

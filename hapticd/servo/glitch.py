@@ -1,8 +1,8 @@
-"""Did the handle bend the motion, or a glitch of the encoder?
+"""Distinguish true motion of the handle from a glitch of the encoder.
 
 A sample bends the motion by its second difference x_n - 2 x_{n-1} + x_{n-2}. A sample is doubted if
 that exceeds limits.acceleration_m_per_s2. The law then gets the straight continuation, its state
-stays what it was, and the next samples decide:
+stays as it was, and the next samples decide:
 
     it returned    the newest sample is on the straight line from before the doubt, or on a curve of
                    plausible acceleration: a glitch. Doubted samples count as lost, and the filters
@@ -13,7 +13,7 @@ stays what it was, and the next samples decide:
 
 A glitch ends soon, so its bends change sign: +g, -2g, +g. A tap bends one way for as long as it
 lasts, whatever its strength; the speed limit bounds its total effect. A position that jumps and
-stays bends by +g, -g: no handle does that either, and the doubt is not resolved.
+stays bends by +g, -g: no handle moves like that either, and the doubt is not resolved.
 
 Limitations: samples that are not one period apart (then all doubted samples are lost), or a handle
 that is so light or struck so hard that it reverses within a period.
@@ -27,15 +27,15 @@ from hapticd.core.params import ServoParams
 from hapticd.render.law import LawState
 
 MOST_DOUBTED: Final = 2  # samples in a row; one more is a fault
-# times the bend that is believed at once; at 500 m/s^2 on 8 g
-ONE_WAY: Final = 2.0  # may what goes on bend after one doubted sample; beyond that one way: 8 N
+# times the bend that is accepted at once; forces at 500 m/s^2 on 8 g
+ONE_WAY: Final = 2.0  # largest bend after one doubted sample; beyond it, only one way: 8 N
 TAP: Final = 7.5  # after two, if all bend one way: 30 N
-LEAST_SHARE: Final = 0.25  # of the way back was the way there; half of it without other motion
+LEAST_SHARE: Final = 0.25  # first bend over the bend back; 0.5 without other motion
 LEAST_COUNTS: Final = 8
 
 
 class GlitchVerdict(Enum):
-    """What the doubted samples were."""
+    """The nature of the doubted samples."""
 
     RETURNED = 1
     MOVED = 2
@@ -43,8 +43,8 @@ class GlitchVerdict(Enum):
 
 
 def believed_bend_m(params: ServoParams) -> float:
-    """Second difference of position [m] that is believed at once: that of the device's limit, and
-    some counts of the encoder at high rates.
+    """Return the second difference of position [m] that is accepted at once. It is that of the
+    device's limit, and at least some counts of the encoder at high rates.
     """
     device = params.device
     of_motion_m = device.acceleration_limit_m_per_s2 / params.realtime.rate_hz**2
@@ -52,9 +52,9 @@ def believed_bend_m(params: ServoParams) -> float:
 
 
 def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) -> GlitchVerdict:
-    """What the positions `doubted` [m] were, now that `x` [m] follows them.
+    """Classify the positions `doubted` [m], now that `x` [m] follows them.
 
-    `law` is from before them; `bend_m` [m] is the second difference that is believed at once.
+    `law` is from before them; `bend_m` [m] is the second difference that is accepted at once.
     """
     start, moved, *_ = law
     bends = []
@@ -66,7 +66,7 @@ def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) ->
         last = position
     newest = abs(bends[-1])
     away = abs(x - start - len(bends) * moved)
-    # a hand leads off the straight line by less than that
+    # a hand deviates from the straight line by less than that
     if away <= len(bends) * bend_m and away < newest:
         return GlitchVerdict.RETURNED
     most = TAP if len(doubted) == MOST_DOUBTED else ONE_WAY
@@ -76,10 +76,10 @@ def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) ->
 
 
 def stuck_out(before: LawState, law: LawState, x: float, bend_m: float) -> bool:
-    """Whether the sample before `x` [m] was the glitch, too small to be doubted then: it bent the
-    motion one way, this one bends it twice as much the other way and lies where `before` led.
+    """Return whether the sample before `x` [m] was a glitch too small to be doubted then.
 
-    `law` has that sample, `before` has not.
+    It bent the motion one way; this one bends it twice as much the other way and lies where
+    `before` led. `law` includes that sample, `before` does not.
     """
     bent = law[1] - before[1]
     bends = x - law[0] - law[1]
@@ -88,6 +88,6 @@ def stuck_out(before: LawState, law: LawState, x: float, bend_m: float) -> bool:
 
 
 def one_way(bends: Sequence[float], bend_m: float) -> bool:
-    """Whether all `bends` that are clearly beyond `bend_m` have one sign."""
+    """Return whether all `bends` that are clearly beyond `bend_m` have one sign."""
     signs = {bend > 0.0 for bend in bends if abs(bend) > ONE_WAY * bend_m}
     return len(signs) < 2

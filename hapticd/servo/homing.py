@@ -5,33 +5,33 @@ The push p is a spring to a point that moves at the homing speed v, parallel to 
     dp/dt = K (v - dx/dt),  -F <= p <= F       K = min(100 N/m, F / (0.1 s v))
     force = p - B dx/dt,  -F <= force <= F     B = 0.5 N s/m
 
-While the handle follows, p equals the friction; while it stands, p grows to the homing force F. A
-slip (friction falls as the handle begins to move) shortens the spring by the motion of the handle
-and no more. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
-is halved at every tick, so a handle that is suddenly released does not run away. Force is bounded
-by F, and speed by 10 v plus the effect of F on the mass within two ticks, whatever is in the way. A
-few grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not
-the output of a filter that a client may have set.
+While the handle follows, p equals the friction; while it is at rest, p grows to the homing force F.
+A slip (friction falls as the handle starts to move) shortens the spring only by the motion of the
+handle. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
+is halved at every tick, so a handle that is suddenly released does not run away. With any obstacle,
+force is bounded by F, and speed by 10 v plus the effect of F on the mass within two ticks. A few
+grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not the
+output of a filter that a client may have set.
 
-A handle that stands under the whole push need not be at a stop: a hand holds it, a bearing sticks,
-a motor has no power. So each stop is tested, and found twice:
+A handle at rest under the full push may not be at a stop: a hand may hold it, a bearing may stick,
+the motor may have no power. So each stop is tested, and found twice:
 
-    approach  towards the stop, until the handle stands for 0.1 s under F
+    approach  towards the stop, until the handle is at rest for 0.1 s under F
     press     p falls to F/2 and grows to F again; a stop that moves by more than the tolerance d
               meanwhile yields (softer than F / 2 d) and is approached further
     back off  away by L, with at most 3/4 F: a handle that cannot is held or stuck
     return    towards the stop again, with at most 3/4 F until 4 d before it
     confirm   pressed again; accepted within d of the first stop, if nothing else acts there
 
-Friction hides a soft hand from `press`: the handle stands in it, held by the bearing. The work of
-back-off and return reveals it. Over a way s there and back, friction costs the same both ways,
-jerks or not, and another force on the handle does not. Its mean is
+Friction hides a soft hand from `press`: the bearing holds the handle in it. The work of
+back-off and return reveals it. Over a distance s and back, friction costs the same both ways, with
+or without jerks, and another force on the handle does not. Its mean is
 
     (work of the return - work of the back-off) / 2 s
 
 between 4 d and 4 d + L/4 from the stop. A stop exerts no force there. A hand exerts the force that
-made the handle stand: more than F/8 is not a stop. A hand too stiff to be measured there does not
-let the handle back off by L.
+stopped the handle: more than F/8 is not a stop. A hand too stiff to be measured there does not let
+the handle back off by L.
 
 With `index` the mark takes the place of the stop: found, left behind by L, and passed again in the
 same direction within d. An obstacle before the mark reverses the search, once.
@@ -56,19 +56,19 @@ from hapticd.core.params import ServoParams
 
 STIFFNESS_N_PER_M = 100.0
 DAMPING_NS_PER_M = 0.5
-LOAD_S = 0.1  # at least, from no push to the whole
-RELAX_S = 0.05  # from the whole to half of it
+LOAD_S = 0.1  # at least, from no push to the full push
+RELAX_S = 0.05  # from the full push to half of it
 STILL_S = 0.1
 FASTEST = 10.0  # times the homing speed
-RESERVE = 0.75  # of the whole push must do to go between stop and back-off
-NEAR = 4.0  # times the tolerance: where the stop or what yields begins
+RESERVE = 0.75  # of the full push must be enough to move between stop and back-off
+NEAR = 4.0  # times the tolerance: distance at which the stop or a yielding obstacle begins
 WEIGHED = 0.25  # of the back-off
-FOREIGN = 0.125  # of the whole push: the most that others may do where the handle stopped
-RETREAT = 2.0  # times the back-off: so far against its push a handle is not taken
+FOREIGN = 0.125  # of the full push: largest force of others where the handle stopped
+RETREAT = 2.0  # times the back-off: limit of motion against the push
 
 
 class Phase(IntEnum):
-    """What a homing does at the moment."""
+    """The phase of a homing."""
 
     APPROACH = 0
     PRESS = 1
@@ -78,24 +78,24 @@ class Phase(IntEnum):
 
 
 class Homing(NamedTuple):
-    """How far a homing is. Counts are the encoder's."""
+    """The progress of a homing. Counts are those of the encoder."""
 
     phase: int = int(Phase.APPROACH)
     since_tick: int = 0  # of the phase
     tick: int = 0  # of the sample before,
     encoder: int = 0  # and its count
-    still_tick: int = 0  # since when the handle has stood,
-    still_count: int = 0  # and where
-    reach_count: int = 0  # furthest along the way of this phase
+    still_tick: int = 0  # start of the standstill,
+    still_count: int = 0  # and its position
+    reach_count: int = 0  # furthest along the direction of this phase
     found_count: int = 0  # stop or mark, the first time
-    push_n: float = 0.0  # p, along the way of this phase
+    push_n: float = 0.0  # p, along the direction of this phase
     force_n: float = 0.0  # of the law, to positive x
     turned: bool = False  # searches against the direction of the device file
-    work_j: float = 0.0  # return less back-off, where the force of others is weighed
+    work_j: float = 0.0  # return minus back-off, in the stretch of weighing
 
 
 class HomingSample(NamedTuple):
-    """One sample, as homing needs it."""
+    """One sample, with the fields for homing."""
 
     tick: int
     encoder: int
@@ -120,12 +120,12 @@ Next = Homing | Origin | Failed
 
 
 def begin(tick: int, count: int) -> Homing:
-    """A homing that starts at `tick` with the encoder at `count`."""
+    """Return a homing that starts at `tick` with the encoder at `count`."""
     return _entered(Homing(), Phase.APPROACH, tick, count, 0.0)
 
 
 def force_limit_n(params: ServoParams) -> float:
-    """The most that homing pushes with [N]."""
+    """Return the largest force of homing [N]."""
     return min(params.device.home.force_n, params.force_limit_n)
 
 
@@ -143,19 +143,21 @@ def _entered(homing: Homing, phase: Phase, tick: int, count: int, push_n: float)
 
 
 def _ticks(homing: Homing, seen: HomingSample) -> int:
-    """Ticks since the sample before; two samples of one tick are as if of two."""
+    """Return the ticks since the sample before, at least 1."""
     return max(1, seen.tick - homing.tick)
 
 
 def _pressed(passed_s: float) -> float:
-    """Part of the whole push: down to half of it and back, slowly, so that a stop does not ring."""
+    """Return the share of the full push: slowly down to half and back, so that a stop does not
+    ring.
+    """
     if passed_s < RELAX_S:
         return 1.0 - 0.5 * passed_s / RELAX_S
     return min(1.0, 0.5 + 0.5 * (passed_s - RELAX_S) / LOAD_S)
 
 
 class HomingSearch:
-    """The search on one device; `advance` is all there is to call. It keeps nothing between
+    """The search on one device; `advance` is its only method for callers. It has no state between
     samples.
     """
 
@@ -179,7 +181,7 @@ class HomingSearch:
         )
 
     def advance(self, homing: Homing, seen: HomingSample) -> Next:
-        """`homing` after one sample, or its end."""
+        """Return `homing` after one sample, or its end."""
         if not seen.granted:
             return begin(seen.tick, seen.encoder)
         homing = self._weighed(self._noted(homing, seen), seen)
@@ -192,7 +194,6 @@ class HomingSearch:
         return found._replace(tick=seen.tick, encoder=seen.encoder, force_n=force_n)
 
     def _noted(self, homing: Homing, seen: HomingSample) -> Homing:
-        """`homing` with what the sample says of standing and reach."""
         if abs(seen.encoder - homing.still_count) > self._tolerance_counts:
             homing = homing._replace(still_tick=seen.tick, still_count=seen.encoder)
         if self._along(homing, seen.encoder - homing.reach_count) > 0.0:
@@ -204,16 +205,17 @@ class HomingSearch:
         return moved_m * self._rate_hz / _ticks(homing, seen)
 
     def _way(self, homing: Homing) -> int:
-        """+1 or -1: where the push of this phase goes."""
+        """Return +1 or -1: the direction of the push in this phase."""
         against = (homing.phase == Phase.BACK_OFF) != homing.turned
         return -self._home.direction if against else self._home.direction
 
     def _along(self, homing: Homing, counts: int) -> float:
-        """`counts` as metres along the way of the phase."""
         return self._way(homing) * self._m_per_count * counts
 
     def _weighed(self, homing: Homing, seen: HomingSample) -> Homing:
-        """`homing` with the work of this tick, where the handle passes the stretch of weighing."""
+        """Return `homing` with the work of this tick, where the handle passes the stretch of
+        weighing.
+        """
         if self._home.method != "stop" or homing.phase not in (Phase.BACK_OFF, Phase.RETURN):
             return homing
         middle = 0.5 * (seen.encoder + homing.encoder)
@@ -227,7 +229,7 @@ class HomingSearch:
         return homing._replace(work_j=homing.work_j + sign * work_j)
 
     def _pushed(self, homing: Homing, seen: HomingSample) -> Homing:
-        """The push after this sample: a spring to a point that moves on."""
+        """Return the push after this sample: a spring to a point that moves on."""
         ahead_m = self._home.speed_m_per_s * _ticks(homing, seen) / self._rate_hz
         moved_m = self._along(homing, seen.encoder - homing.encoder)
         push_n = homing.push_n + self._stiffness * (ahead_m - moved_m)
@@ -236,7 +238,7 @@ class HomingSearch:
         return homing._replace(push_n=max(-self._force_n, min(self._force_n, push_n)))
 
     def _stands(self, homing: Homing, tick: int, part: float = 1.0) -> bool:
-        """Whether the handle has stood long enough under that part of the whole push."""
+        """Return whether the handle has stood long enough under that part of the full push."""
         full = homing.push_n >= part * self._force_n
         return full and tick - homing.still_tick >= STILL_S * self._rate_hz
 
@@ -256,7 +258,7 @@ class HomingSearch:
         return _entered(pushed, phase, seen.tick, seen.encoder, pushed.push_n)
 
     def _short(self, homing: Homing, seen: HomingSample) -> bool:
-        """Whether the handle has still a way to go to where it was stopped before."""
+        """Return whether the handle is still away from where it stopped before."""
         return self._along(homing, homing.found_count - seen.encoder) > self._near_m
 
     def _search_mark(self, homing: Homing, seen: HomingSample, again: bool) -> Next:
@@ -293,7 +295,6 @@ class HomingSearch:
         return not n_per_a or n_per_a * abs(seen.current_a) >= 0.5 * self._force_n
 
     def _found(self, homing: Homing, seen: HomingSample, count: int, again: bool) -> Next:
-        """The stop or the mark is at `count`."""
         if not again:
             away = homing._replace(found_count=count)
             return _entered(away, Phase.BACK_OFF, seen.tick, seen.encoder, -homing.push_n)

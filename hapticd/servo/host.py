@@ -29,16 +29,16 @@ _held: list[int] = []  # the kernel forgets the C-state latency when its file is
 
 
 class Grant(NamedTuple):
-    """The answer to a request for a right; `text`: why it was refused, and the remedy."""
+    """The result of a request for a right; `text`: why it was refused, and the remedy."""
 
     granted: bool
     text: str
 
 
 def prepare(params: RealtimeParams) -> dict[str, Grant]:
-    """Ask for everything `params` names; the answers by right, none in mode off.
+    """Request all rights in `params`; return the results by right, none in mode off.
 
-    RealtimeError in strict mode when anything was refused.
+    RealtimeError in strict mode if any was refused.
     """
     if params.mode == "off":
         return {}
@@ -66,7 +66,7 @@ def prepare(params: RealtimeParams) -> dict[str, Grant]:
 
 
 def relax() -> None:
-    """Back to ordinary scheduling, for an orderly end."""
+    """Return to ordinary scheduling, for an orderly end."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 

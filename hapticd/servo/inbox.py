@@ -5,7 +5,7 @@ streamer sends a waveform into the board's perturbation FIFO.
 
 A tick takes at most two commands. A reset while the board reports a fault first requests that the
 board clear it, and waits for the frame with the result. A pressed stop word stops in every tick
-until it is back at 0, so no reset can clear a press that still stands. Writing it back is file
+until it is back at 0, so no reset can clear a press that is still active. Writing it back is file
 work, which waits until no force can act: the last frame did not request authority. Lost slots
 become a fault when too many fall into one second. Pauses of a host with a simulated board are
 harmless and only counted.
@@ -40,10 +40,10 @@ _ENABLE = int(OutFlag.ENABLE)
 
 
 class Streamer:
-    """Plays counts of `waveform` (memoryview of i16) as the plan's `wave` says: (command number
+    """Play counts of `waveform` (memoryview of i16) according to the plan's `wave`: (command number
     or 0, samples, loop).
 
-    No sample leaves the device's limit of probe force, whatever is in the segment by then.
+    Every sample is clamped to the device's limit of probe force, whatever the segment contains.
     """
 
     def __init__(self, waveform: "memoryview[int]", params: ServoParams) -> None:
@@ -64,8 +64,8 @@ class Streamer:
         self.playing = 0  # number of the command that started it, 0: silent
 
     def follow(self, wave: tuple[int, int, bool], flags: int, level: int) -> Burst:
-        """What to send to a FIFO at `level`; `flags` gain FIFO_CLEAR on the tick a waveform
-        begins or ends.
+        """Return the samples for a FIFO at `level`. `flags` gain FIFO_CLEAR in the tick in which a
+        waveform starts or ends.
         """
         number, samples, loop = wave
         begins = number != self.playing
@@ -81,7 +81,7 @@ class Streamer:
         return (flags, *self._next(wanted))
 
     def ended(self, level: int) -> bool:
-        """Whether a waveform that plays once has been played to its end."""
+        """Return whether a waveform without loop has been played to its end."""
         return (
             self.playing != 0 and not self._loop and self._position >= self._samples and level == 0
         )
@@ -91,7 +91,7 @@ class Streamer:
         while len(taken) < wanted and self._position < self._samples:
             end = min(self._position + wanted - len(taken), self._samples)
             taken += self._waveform[self._position : end].tolist()
-            # a loop goes on within the frame: it may be shorter than that
+            # a loop continues within the frame: it may be shorter than a frame
             self._position = 0 if self._loop and end == self._samples else end
         if taken and (min(taken) < self._lowest or max(taken) > self._highest):
             taken = [max(self._lowest, min(self._highest, count)) for count in taken]
@@ -99,18 +99,18 @@ class Streamer:
 
 
 MOST_COMMANDS = 2
-# of a gateway that is gone: they bring no force
+# still obeyed from an earlier gateway: they enable no force
 ORPHANS_OBEYED = frozenset({
     Command.DISABLE, Command.STOP, Command.PERTURB_STOP, Command.FAULT, Command.CANCEL,
     Command.TERMS,
 })  # fmt: skip
-CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
+CLEAR_TICKS = 3  # until a frame shows the effect of CLEAR_FAULT
 _NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
 class Inbox:
-    """Collects requests. Ask it when the ring or the stop word is not empty, while it is
-    `waiting`, or a waveform plays.
+    """Collect requests. Call it when the ring or the stop word is not empty, while it is `waiting`,
+    or while a waveform plays.
     """
 
     def __init__(
@@ -120,22 +120,22 @@ class Inbox:
         self._mailbox = mailbox
         self._device = device
         self._streamer = streamer
-        self._lost: list[tuple[int, int]] = []  # when, and how many slots the host missed at once
+        self._lost: list[tuple[int, int]] = []  # time and number of missed slots
         # resets that wait for the board's answer, each until that tick
         self._deferred: list[tuple[int, Request]] = []
-        self.waiting = False  # something of our own is due or near: `requests` must be asked
-        self.unlooked = False  # the loop has to look at the board before force
+        self.waiting = False  # `requests` must be called
+        self.unlooked = False  # the loop must check the board before force
         self._leaving = False
 
     def requests(self, tick: int, head: Head, settled: TickConstants) -> tuple[Request, ...]:
-        """What this tick has to obey, after one that came to be `settled`."""
+        """Return the requests for this tick, after one with the result `settled`."""
         plan = settled.plan
         found: list[Request] = []
-        # first: a waveform that starts in the tick in which another one ended is not that one
+        # first: the end must not stop a waveform that starts in the same tick
         if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
             found.append((0, PERTURB_DONE_EVENT, 0, 0, _NO_VALUES))
         done = len(found)
-        most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
+        most = 0 if self._leaving else MOST_COMMANDS  # no enable while the process ends
         while len(found) - done < most and (request := self._mailbox.take()) is not None:
             found.append(self._of_present_gateway(request))
         resets = any(request[KIND] == Command.RESET for request in found)
@@ -144,7 +144,7 @@ class Inbox:
         if self._mailbox.stop_word.pressed:
             presser = self._mailbox.stop_word.presser
             if not settled.out_flags & _ENABLE:
-                self._mailbox.stop_word.take_back()  # a press from here on is another one
+                self._mailbox.stop_word.take_back()  # a later press is a new one
             found.append((0, Command.STOP, presser, 0, _NO_VALUES))
         found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):
@@ -155,20 +155,20 @@ class Inbox:
         return tuple(found)
 
     def _of_present_gateway(self, request: Request) -> Request:
-        """`request`, or what stands for one that a gateway before left in the ring: no other
-        gateway has judged it.
+        """Return `request`, or a substitute if an earlier gateway left it in the ring: it was not
+        judged by the present one.
         """
         if request[0] > self._mailbox.inherited or request[KIND] in ORPHANS_OBEYED:
             return request
         return request[0], ORPHANED_EVENT, request[2], 0, _NO_VALUES
 
     def leave(self) -> None:
-        """The process ends: what acts is stopped, and no command is taken any more."""
+        """Stop the acting force and take no more commands, because the process ends."""
         self._leaving = True
         self.waiting = True
 
     def lost_slots(self, now_ns: int, slots: int) -> None:
-        """The host has missed `slots` ticks."""
+        """Note that the host has missed `slots` ticks."""
         if not self._params.simulated:
             self._lost.append((now_ns, slots))
             self.waiting = True
@@ -184,8 +184,8 @@ class Inbox:
         return [request for request in found if request[KIND] != Command.RESET]
 
     def _due(self, tick: int, stopping: bool) -> list[Request]:
-        """Resets that have waited long enough; before a stop all of them, since none may undo a
-        later stop.
+        """Return resets whose wait is over; before a stop return all, because none may undo a later
+        stop.
         """
         due = [(until, request) for until, request in self._deferred if stopping or until <= tick]
         self._deferred = [item for item in self._deferred if item not in due]

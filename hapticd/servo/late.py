@@ -2,7 +2,7 @@
 
 A tick is late when it ends after the next deadline. The loop times its parts anyway. The share of a
 part is its time beyond the usual, which is the median of three ticks on time at a tally. The part
-with the greatest share is the cause:
+with the largest share is the cause:
 
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
@@ -10,11 +10,11 @@ with the greatest share is the cause:
 In flight (`usb.flight`) `write` hands both transfers to the kernel and waits for neither, so its
 share is SUBMISSION. `read` waits for a late IN, and the board's clock shows the reason. The board
 latches a sample a fixed time after it got the previous OUT. So the time from that OUT (by the
-host's clock) to the sample (by the board's) is constant but for the offset of the clocks, which the
-two ticks before have as well:
+host's clock) to the sample (by the board's) is constant, up to the offset of the clocks. The two
+ticks before have the same offset:
 
     BUS          that time is longer, because the OUT reached the board late; or the previous OUT
-                 was still under way a period later; or no IN came within the time-out
+                 was still in transit a period later; or no IN arrived within the time-out
     COMPLETION   that time is as usual: the sample was ready, and the IN ended late
 
 A slow bus delays OUT and IN, so the cause is BUS from a quarter of the lateness on the way out. An
@@ -26,10 +26,10 @@ bus. No sample shows when an IN was fetched.
 
 The cause is computed after the end of the tick and before its lost slots are counted. The next tick
 is therefore not delayed: cold code takes tens of times longer. The cause goes into the record of
-the next tick, because its own record is out by then. A tick on time pays for two integers of its
-record.
+the next tick, because the tick's own record is already published. A tick on time only writes two
+integers of its record.
 
-Limitations: a board that latches by a clock of its own, records that are not in the ring.
+Limitations: a board that latches by its own clock, records that are not in the ring.
 """
 
 import struct
@@ -43,8 +43,8 @@ from hapticd.mailbox.layout import Flag, LateCause
 from hapticd.usb.device import SEED, Device
 
 SAMPLES = 3  # of ticks on time
-EARLIER = 3  # ticks before the late one, which show what is usual on the way to the board
-HELD_UP = 4  # from one such part of its lateness, on the way to the board, a read is late by BUS
+EARLIER = 3  # ticks before the late one, which show the usual time on the way to the board
+HELD_UP = 4  # a read is late by BUS from 1/HELD_UP of its lateness on the way to the board
 READ, WRITE = (layout.STAGES.index(name) for name in ("read", "write"))
 OWN = {  # the other stages
     layout.STAGES.index("wake"): LateCause.WAKE,
@@ -54,7 +54,7 @@ OWN = {  # the other stages
 
 
 class Ticked(NamedTuple):
-    """What a record says of the times of its tick."""
+    """The times of a tick in its record."""
 
     woken_ns: int
     board_us: int  # of its sample
@@ -70,7 +70,7 @@ class Ticked(NamedTuple):
     late_cause: int  # of the tick before
 
 
-# what the next record says of a tick: LateCause, and how long after its next deadline it ended [ns]
+# for the next record: LateCause, and how long after its next deadline the tick ended [ns]
 LateTick = tuple[int, int]
 ON_TIME: LateTick = (LateCause.NONE, 0)
 
@@ -78,10 +78,11 @@ ON_TIME: LateTick = (LateCause.NONE, 0)
 def cause_of(
     parts: Sequence[int], usual: Sequence[int], in_flight: bool, ticks: Callable[[], list[Ticked]]
 ) -> int:
-    """Why a tick was late (LateCause) that took `parts` where `usual` is usual (layout.STAGES).
+    """Return why a tick was late (LateCause) that took `parts`, compared with `usual`
+    (layout.STAGES).
 
-    `ticks()` gives at most EARLIER ticks before it, and it. Any numbers will do: others may have
-    written over the ring.
+    `ticks()` returns at most EARLIER ticks before it, and the tick itself. Any numbers are valid:
+    the ring may have been overwritten.
     """
     shares = [part - normal for part, normal in zip(parts, usual, strict=True)]
     worst = shares.index(max(shares))
@@ -107,26 +108,29 @@ def _late_read(ticks: Sequence[Ticked], share_ns: int, in_flight: bool) -> int:
 
 
 def _held_up_ns(ticks: Sequence[Ticked]) -> int | None:
-    """How much longer than usual the last but one OUT took to the board; None: not known."""
+    """Return the additional delay of the last but one OUT on its way to the board; None:
+    not known.
+    """
     *usual, newest = (_latched_ns(*pair) for pair in pairwise(ticks)) if ticks[1:] else (None,)
     known = [one for one in usual if one is not None]
     return newest - min(known) if known and newest is not None else None
 
 
 def _parts(tick: Ticked, publish_ns: int) -> tuple[int, ...]:
-    """How long each of layout.STAGES took."""
     return tick.wake_ns, tick.read_ns, tick.step_ns, tick.write_ns, publish_ns
 
 
 def _latched_ns(tick: Ticked, after: Ticked) -> int | None:
-    """From the OUT of `tick` to the sample after it, but for the offset of the clocks."""
+    """Return the time from the OUT of `tick` to the sample after it, up to the offset of the
+    clocks.
+    """
     if not 0 <= after.arrival < SEED:
         return None
     return after.board_us * NS_PER_US - (tick.woken_ns + tick.read_ns + tick.step_ns)
 
 
 def _fields() -> struct.Struct:
-    """Of a record what `Ticked` has, the rest skipped."""
+    """Return the layout of the fields in `Ticked`, with the rest of a record skipped."""
     runs = (("time_ns", "qq"), ("flags", "IIi"), ("wake_ns", "5iII"))
     text, end = "<", 0
     for name, codes in runs:
@@ -140,7 +144,7 @@ _TICKED = _fields()
 
 
 class LateTicks:
-    """The causes of late ticks over `device`, in the ring of their records."""
+    """Find the causes of late ticks over `device`, in the ring of their records."""
 
     def __init__(self, ring: memoryview, period_ns: int, device: Device) -> None:
         self._ring = ring
@@ -148,13 +152,15 @@ class LateTicks:
         self._device = device
         self._samples = [(0,) * len(layout.STAGES)] * SAMPLES
         self._usual = self._samples[0]
-        # of the last tick: kept here while the loop stands still, since an object of more than 30
+        # of the last tick, kept here between runs of the loop: an object with more than 30
         # attributes is slow to read in CPython 3.11
         self.publish_ns = 0
         self.told = ON_TIME
 
     def learn(self, tick: int) -> None:
-        """Take the tick before `tick`, whose record is the newest, as a sample of what is usual."""
+        """Take the tick before `tick`, whose record is the newest, as a sample of usual
+        durations.
+        """
         parts = _parts(self._seen(tick - 1), self._seen(tick).published_ns)
         if tick and sum(parts) <= self._period_ns:
             self._samples = [*self._samples[1:], parts]
@@ -163,7 +169,7 @@ class LateTicks:
             )
 
     def cause(self, tick: int, publish_ns: int) -> int:
-        """Why `tick`, whose record is the newest, was late."""
+        """Return why `tick`, whose record is the newest, was late."""
         return cause_of(
             _parts(self._seen(tick), publish_ns),
             self._usual,

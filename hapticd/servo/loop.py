@@ -6,15 +6,16 @@ Everything a tick needs is a local name that no closure shares, prepared before 
 possible. Rare work (a lost link, commands, answers, late ticks) is a call. Three properties of
 CPython 3.11 shape the code. The loop is a `while True`, because the instructions of a function that
 is entered once are specialised only after a loop that ends in an unconditional jump (a seventh of a
-tick). A float stands before the integer it is multiplied by, because otherwise the integer's method
-is tried first. No call has more than 30 arguments, which would go by way of a list.
+tick). A float precedes the integer it is multiplied by, because otherwise the integer's method is
+tried first. No call has more than 30 arguments, which would be passed through a list.
 
 A late tick drops whole slots and never catches up. Late events and lost slots are counted apart,
 those of the first second (`grace`) on their own. Ticks are numbered one after the other. `step`
-gets the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20 ms whether or not
-ticks were lost. Requests and answers of clients are in ticks. Without the board the ticks go on:
-records show it, the force is 0, and the board is searched for with back-off. The loop ends when
-`stopping` is set or `ticks` are done; `finish` ramps the force down and releases the board.
+gets the slot, which counts the lost ones too. A ramp of 20 ms therefore ends after 20 ms whether or
+not ticks were lost. Requests and answers of clients are in ticks. Without the board the ticks
+continue: records show it, the force is 0, and the board is searched for with back-off. The loop
+ends when `stopping` is set or `ticks` are done; `finish` ramps the force down and releases the
+board.
 
 No closure may share a name of `run` (it would become a cell, slower at every use). No slow work may
 come before the record is published.
@@ -59,7 +60,7 @@ from hapticd.usb.search import Tell
 
 __all__ = ["ServoLoop"]
 
-MISSED = -1  # arrival of a tick without a sample, before it is known for how long
+MISSED = -1  # arrival of a tick without a sample, before the number of periods is known
 _TALLY = {
     "missing_in": "missing",
     "bad_in": "bad",
@@ -71,16 +72,18 @@ _TALLY = {
     "board_lives": "lives",
 }
 _ENABLE = int(OutFlag.ENABLE)
-ENDING_TICKS = 4  # beside its ramp: from the last command to a frame without authority
-_LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
-_NOTHING_US = 1 << 30  # above every delay: none was seen yet
+ENDING_TICKS = 4  # in addition to its ramp: from the last command to a frame without authority
+_LONGEST_NS = (1 << 31) - 1  # limit of a stage in a record: 2.1 s
+_NOTHING_US = 1 << 30  # above every delay: none was measured yet
 _U32 = (1 << 32) - 1
 _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
 
 
 class ServoLoop:
-    """One device, one mailbox, one loop; `run` may be called again and goes on where it stopped."""
+    """One device, one mailbox, one loop; `run` may be called again and continues where
+    it stopped.
+    """
 
     def __init__(
         self,
@@ -106,7 +109,7 @@ class ServoLoop:
         self.stopping = False
         self._lost_slots = 0
         self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
-        self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
+        self.dropped = 0  # slots without a tick, including those of the start and of a reconnect
         self._missed_tick = -1  # the newest tick without a sample
         self._fresh_slot = 0  # of the newest tick with one, before that
         self._pausing = False  # the next tick does not read
@@ -167,7 +170,7 @@ class ServoLoop:
         pausing = self._pausing
         alive_until_ns = 0
         board_us = 0
-        linked = connection.host  # host flags while all is well
+        linked = connection.host  # host flags without a fault
         publish_ns = late_ticks.publish_ns
         last = None if ticks is None else self.tick + ticks
 
@@ -192,7 +195,7 @@ class ServoLoop:
             commands: tuple[Request, ...] = ()
             count = 0
             samples = NO_SAMPLES
-            # read, not mapped: others may cut this file short (`mailbox.stop_word`)
+            # read, not mapped: another process may truncate this file (`mailbox.stop_word`)
             pressed = pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
             start = wait(deadline, rehearse)
             if pausing:
@@ -251,11 +254,11 @@ class ServoLoop:
                     linked = connection.host
                     if slow:
                         self.restart_clock()
-                if not slow:  # else the board's watchdog wants a frame first
+                if not slow:  # otherwise the board's watchdog needs a frame first
                     commands = inbox.requests(tick, head, self.state[SETTLED])
                     mailbox.note(tick, commands)
                     commands = in_slots(commands, self.dropped)
-            # the beat last seen says nothing any more: look for the next one
+            # the last heartbeat has expired: look for the next one
             if start >= alive_until_ns:
                 beat_ns = words[beat_word]
                 alive_until_ns = (
@@ -308,7 +311,7 @@ class ServoLoop:
             if delay_us < 0:
                 delay_us = UNKNOWN_US
             else:
-                # where the board holds torque back, the age of another OUT says nothing of this
+                # valid only for the last OUT: the board may still have the torque of another
                 if torque_seq == echo & 0xFF:
                     frame_age_us = (got - stepped_before) // NS_PER_US - torque_age_us
                 if delay_us > most_us:
@@ -319,7 +322,7 @@ class ServoLoop:
             read_ns = got - start
             step_ns = stepped - got
             write_ns = sent - stepped
-            if sent > next_deadline:  # rare: what makes a tick late, and what may not fit its field
+            if sent > next_deadline:  # rare: a late tick, whose times may exceed their fields
                 if wake_ns > period_ns:
                     flags |= _LATE
                 stages = (wake_ns, read_ns, step_ns, write_ns)
@@ -403,19 +406,19 @@ class ServoLoop:
         return self.tick + self.dropped
 
     def _now(self) -> tuple[ServoState, int, int]:
-        """State, tick and slot of the next tick, for its rehearsal."""
         return self.state, self.tick, self.slot
 
     def restart_clock(self) -> None:
-        """Begin anew with deadlines from now on, after something slow that was no tick."""
+        """Restart the deadlines from now, after slow work that was not a tick."""
         deadline_ns = first_deadline(self.clock.now_ns(), self.period_ns)
         if self.tick:
             self.dropped += max(0, (deadline_ns - self.deadline_ns) // self.period_ns)
         self.deadline_ns = deadline_ns
 
     def finish(self) -> None:
-        """End with no force: what acts fades as in a stop, tick by tick and recorded. The last
-        frame has no torque and leaves the damping as it is: the board's watchdog holds it and
+        """End without force: acting force fades as in a stop, tick by tick and recorded.
+
+        The last frame has no torque and keeps the damping: the board's watchdog holds it and
         releases it, as after a crash. Then release the board.
         """
         self.inbox.leave()
@@ -426,19 +429,19 @@ class ServoLoop:
                 self.run(1)
                 if not self.state[SETTLED].out_flags & _ENABLE:
                     break
-        finally:  # whatever it was that ended us
+        finally:  # whatever ended the loop
             self.connection.let_go(self.state[SETTLED])
 
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
             if seq:  # 0: the loop itself asked
-                # what waited through a pause longer than the life before it has no tick of its own
+                # a change that waited through a pause longer than the life has no own tick
                 first, end = (max(0, slot - self.dropped) for slot in ticks)
                 self.mailbox.answer(seq, result, fault, revision, (first, end), values)
 
     def _tally(self) -> None:
-        """Bring the device's counts to the counters that others read; leave the state for a
-        replay if it was asked for.
+        """Update the counters for other processes from those of the device; leave a checkpoint if
+        requested.
         """
         self.mailbox.show("ticks", self.tick)
         self._late_ticks.learn(self.tick)
@@ -449,10 +452,10 @@ class ServoLoop:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
 
     def _late(self, end_ns: int, publish_ns: int) -> tuple[int, int]:
-        """Find the cause of a late tick and drop the slots that have passed until then: nothing of
-        it may hold up the next tick. LateCause, and how late it was [ns].
+        """Return the cause of a late tick (LateCause) and its lateness [ns], and drop the slots
+        that have passed. Nothing of this may delay the next tick.
         """
-        by_intent = self.state[SETTLED].out_flags & WITHHELD  # it listens in vain
+        by_intent = self.state[SETTLED].out_flags & WITHHELD  # its read is in vain
         late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)
         cause = 0 if by_intent else self._late_ticks.cause(self.tick - 1, publish_ns)
         now_ns = self.clock.now_ns()
@@ -470,12 +473,12 @@ class ServoLoop:
         return cause, late_ns
 
     def _overdue(self, tick: int, slot: int, read_ns: int) -> tuple[int, bool]:
-        """Arrival of a tick without a sample: minus the periods without one, this one included; and
-        whether the next tick does without a read.
+        """Return the arrival of a tick without a sample, and whether the next tick does not read.
 
-        A read that waits in vain costs its time-out (at least 1 ms, and libusb takes 1.6). The
-        first one is repeated at once, for a single lost frame is followed by the next; after that
-        every other tick sends and does not read, so that commands keep coming.
+        Arrival is minus the periods without a sample, this one included. A read in vain costs its
+        time-out (at least 1 ms; libusb takes 1.6 ms). The first one is repeated at once, because a
+        single lost frame is followed by the next. After that every other tick sends and does not
+        read, so that commands keep arriving.
         """
         first = self._missed_tick != tick - 1
         if first:

@@ -15,7 +15,7 @@ and raises an alarm. The next tick takes the slow path, where the alarm becomes 
 is granted. Trials that go to the edge of stability on purpose switch `force_at_limit` and `energy`
 off; every record shows which of them are on.
 
-The default limit of overspeed is 0.7 of the speed beyond which the encoder is not believed: 3.5 m/s
+The default limit of overspeed is 0.7 of the speed beyond which the encoder is not trusted: 3.5 m/s
 on the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as fast
 as gravity reaches 2.8 m/s; 8 g released 20 mm off under K = 200 N/m reach 3.2 m/s.
 
@@ -41,16 +41,16 @@ ENERGY = BY_CODE["energy"].number
 
 
 class Signs(NamedTuple):
-    """What the signs have come to."""
+    """The state of the three signs."""
 
     alarm: int  # number of the fault that is due, 0: none
     side: int  # of the limit at which the force was last: 1, -1; 0: not yet
-    reversals: tuple[int, ...]  # ticks at which it came to the other side
+    reversals: tuple[int, ...]  # ticks at which it reached the other side
     fast_tick: int  # the last one that was too fast
-    fast_ticks: int  # so many in a row
+    fast_ticks: int  # consecutive ones
 
     def raised(self, fault: int) -> "Signs":
-        """With an alarm, unless there is one already."""
+        """Return it with an alarm, unless there is one already."""
         return self if self.alarm else self._replace(alarm=fault)
 
 
@@ -58,7 +58,7 @@ CALM = Signs(0, 0, (), 0, 0)
 
 
 class Bounds(NamedTuple):
-    """Bounds of the monitors, in ticks and SI units; inf: that one is off."""
+    """Bounds of the monitors, in ticks and SI units; inf: off."""
 
     window_ticks: int
     fast_ticks: int
@@ -69,7 +69,7 @@ class Bounds(NamedTuple):
 
 
 def bounds(params: ServoParams) -> Bounds:
-    """The bounds for this device at this rate."""
+    """Return the bounds for this device at this rate."""
     rate_hz = params.realtime.rate_hz
     device = params.device
     speed = device.overspeed_m_per_s
@@ -85,7 +85,7 @@ def bounds(params: ServoParams) -> Bounds:
 
 
 def watches(params: ServoParams, limit_cycle_faults: bool) -> int:
-    """Which of these faults are on, as bits of layout.Watched."""
+    """Return which of these faults are on, as bits of layout.Watched."""
     device = params.device
     on = {
         Watched.FORCE_AT_LIMIT: limit_cycle_faults,
@@ -96,7 +96,7 @@ def watches(params: ServoParams, limit_cycle_faults: bool) -> int:
 
 
 def at_limit(signs: Signs, force_n: float, tick: int, window_ticks: int) -> Signs:
-    """`signs` after a tick whose force was clamped to `force_n`."""
+    """Return `signs` after a tick whose force was clamped to `force_n`."""
     side = 1 if force_n > 0.0 else -1
     if side == signs.side:
         return signs
@@ -107,7 +107,7 @@ def at_limit(signs: Signs, force_n: float, tick: int, window_ticks: int) -> Sign
 
 
 def too_fast(signs: Signs, tick: int, fast_ticks: int) -> Signs:
-    """`signs` after a tick that was too fast."""
+    """Return `signs` after a tick that was too fast."""
     count = signs.fast_ticks + 1 if signs.fast_tick == tick - 1 else 1
     found = signs._replace(fast_tick=tick, fast_ticks=count)
     return found.raised(OVERSPEED) if count >= fast_ticks else found

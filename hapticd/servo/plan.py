@@ -80,15 +80,15 @@ FILTERS = frozenset(
     }
 )
 
-JUDGED = FILTERS.union(BUMPLESS, ADDED)  # what a verdict on an environment depends on
+JUDGED = FILTERS.union(BUMPLESS, ADDED)  # parameters that a verdict depends on
 
 
 class Control(NamedTuple):
-    """What the energy controller has done (servo.energy_controller)."""
+    """Actions of the energy controller (servo.energy_controller)."""
 
-    places: tuple[int, ...] = ()  # layout.Value: what it changed and nobody has asked for since
+    places: tuple[int, ...] = ()  # layout.Value: changed by it and not set by a client since
     tick: int = 0  # of its last step
-    excess_j: float = 0.0  # at that
+    excess_j: float = 0.0  # at that step
 
 
 class Plan(NamedTuple):
@@ -97,16 +97,16 @@ class Plan(NamedTuple):
     state: State
     since_tick: int  # at which `state` was entered
     fault: int  # number of its first cause, 0: none
-    actor: int  # whose command was the last to change something
+    actor: int  # sender of the last change
     revision: int  # counts changes
     leases: tuple[int, int]  # actors that hold control and damping
     homed: bool
     origin: int  # encoder count at x = 0
-    wave: Wave  # the perturbation that plays
-    gain: Ramp  # 0 to 1, of all that is rendered
-    # N; what is left of the force of a latched state where there is no sample to believe
+    wave: Wave  # the playing perturbation
+    gain: Ramp  # 0 to 1, of all rendered forces
+    # N; the remaining force of a latched state without a valid sample
     fade: Ramp
-    # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
+    # by layout.Value: K, B, M and the wall; its side too, whose square scales the wall's force
     values: dict[int, Ramp]
     filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
     active_damping_asked: float  # active damping, N s/m
@@ -114,28 +114,28 @@ class Plan(NamedTuple):
     added: float  # slewed level, N s/m
     added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
-    unauthorised: int = 0  # periods in a row for which the board withheld torque that was asked
+    unauthorised: int = 0  # consecutive periods in which the board withheld requested torque
     homing: Homing = Homing()
     stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
-    stop_owner: int = 0  # actor who pressed it; 0: several pressed
+    stop_owner: int = 0  # actor that pressed it; 0: several
     limit_cycle_faults: bool = False
-    origin_used: bool = False  # it was made, or enabled at, in this life of the servo
-    origin_lost: bool = False  # one that was used; it must be made again
-    doubted: tuple[int, ...] = ()  # encoder counts that are not believed yet (servo.glitch)
+    origin_used: bool = False  # it was set, or enabled at, in this life of the servo
+    origin_lost: bool = False  # a used one was lost; it must be found again
+    doubted: tuple[int, ...] = ()  # doubted encoder counts (servo.glitch)
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
-    environment_revision: int = 0  # counts changes of what is rendered and damped
+    environment_revision: int = 0  # counts changes of environment and damping
     bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
-    winding: Winding = Winding()  # and how much of its resistance is compensated
+    winding: Winding = Winding()  # with the compensation of its resistance
     control: Control = Control()
     push: Push = Push()  # followed while signs are not verified
     silent_until: int = 0  # slot of the first frame after a silence (servo.watchdog_trial), 0: none
-    # slot since when force that was withheld has not been whole again, -1: it is
+    # slot since which withheld force has not been complete again, -1: it is complete
     short_since: int = -1
-    terms: int = ANY_TERMS  # number of those by which the gateway judges, ANY_TERMS: none told
+    terms: int = ANY_TERMS  # number of the gateway's terms, ANY_TERMS: none received
 
 
 class Booking(NamedTuple):
-    """Energy that changes of parameters brought in, within one share of a second."""
+    """Energy added by changes of parameters, within one share of a second."""
 
     share: int  # number of it, since tick 0
     energy_j: float
@@ -148,14 +148,14 @@ class Scheduled(NamedTuple):
     actor: int
     tick: int
     values: tuple[float, ...]
-    terms: int = ANY_TERMS  # of the end of a bounded change: those by which the change was judged
+    terms: int = ANY_TERMS  # of the end of a bounded change: the terms of its judgement
 
 
 def initial_plan(params: ServoParams) -> Plan:
-    """Disabled, everything as configured, active damping off."""
+    """Return the plan of a disabled servo, as configured, with active damping off."""
     environment = params.environment
     start = environment.row()
-    table = params.device.resistance  # before the first look at the winding
+    table = params.device.resistance  # before the first reading of the winding
     return Plan(
         state=State.DISABLED,
         since_tick=0,
@@ -181,7 +181,7 @@ def initial_plan(params: ServoParams) -> Plan:
 
 
 def boxed(place: Value, value: float, params: ServoParams) -> float:
-    """`value` as far as it may be rendered while the signs of the device are not verified."""
+    """Return `value` within the limits for a device whose signs are not verified."""
     if not params.device.commissioning or place not in COMMISSIONING_LIMITS:
         return value
     limit = COMMISSIONING_LIMITS[place]
@@ -189,28 +189,28 @@ def boxed(place: Value, value: float, params: ServoParams) -> float:
 
 
 def with_origin(plan: Plan, encoder: int) -> Plan:
-    """`plan` with the origin made at this count."""
+    """Return `plan` with the origin set at this count."""
     return plan._replace(origin=encoder, homed=True, origin_used=True, origin_lost=False)
 
 
 def without_origin(plan: Plan) -> Plan:
-    """`plan` with an origin that is no longer known; one that was used must be made again."""
+    """Return `plan` with an unknown origin; one that was used must be found again."""
     return plan._replace(homed=False, origin_lost=plan.origin_lost or plan.origin_used)
 
 
 def masked_places(values: tuple[float, ...]) -> list[int]:
-    """Places of a command's values that its mask names."""
+    """Return the places of a command's values in its mask."""
     mask = int(values[Value.MASK])
     return [place for place in range(1, len(values)) if mask >> place & 1]
 
 
 def names_places(values: tuple[float, ...]) -> bool:
-    """Whether the mask of `values` is one; not finite is none too."""
+    """Return whether `values` have a valid mask, which is finite."""
     return 0 <= values[Value.MASK] < 1 << len(values)
 
 
 def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
-    """Whether any value that the mask names is not finite or beyond its limit.
+    """Return whether any masked value is not finite or beyond its limit.
 
     Limits are those of this device at this rate.
     """
@@ -233,8 +233,10 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
 def with_values(
     plan: Plan, values: tuple[float, ...], tick: int, params: ServoParams
 ) -> tuple[Plan, int]:
-    """`plan` on its way to those of `values` that their mask names, from `tick` on, and the tick at
-    which it arrives. ConfigError: filter refused.
+    """Return `plan` on its ramps to the masked `values` from `tick` on, and the tick at which they
+    end.
+
+    ConfigError: filter refused.
     """
     places = masked_places(values)
     rate_hz = params.realtime.rate_hz
@@ -269,7 +271,7 @@ def with_values(
 
 
 def asked_again(control: Control, places: list[int]) -> Control:
-    """`control` without what a change of `places` asks for anew."""
+    """Return `control` without the places that a change of `places` sets again."""
     if not control.places:
         return control
     named = {*places, *(ADDED if not ADDED.isdisjoint(places) else ())}
@@ -293,16 +295,18 @@ def _filters(
 
 
 def coefficients_of(plan: Plan, rate_hz: float) -> Coefficients:
-    """Filter coefficients of `plan`. ConfigError for an impossible corner."""
+    """Return the filter coefficients of `plan`. ConfigError for an impossible corner."""
     return design_coefficients(*plan.filters, rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class TickConstants:
-    """What a tick needs of the plan, in the form it needs it; holds until the next transition."""
+    """The parts of the plan that a tick needs, in the form it needs; valid until the next
+    transition.
+    """
 
-    wake_tick: int  # look at the plan again at this tick
-    environment: LawInputs  # the law's numbers, as `render` takes them
+    wake_tick: int  # evaluate the plan again at this tick
+    environment: LawInputs  # inputs of `render`
     coefficients: Coefficients  # of its filters
     out_flags: int  # of the OUT frame
     damping_count: int  # of the OUT frame
@@ -311,14 +315,14 @@ class TickConstants:
     host: int  # host flags it was made under
     wave: Wave  # the plan's
     watched: int  # status bits that the fast path compares
-    calm: int  # and what they are while nothing is wrong
+    calm: int  # and their values without a fault
     flags: int  # of every record
     plan: Plan
     resistance_count: int = 0  # of the OUT frame
 
 
 Former = tuple[LawState, Ledger]  # as they were before the last sample
-Held = tuple[int, float, Former]  # what was sent last: torque count, force [N]; and before it
+Held = tuple[int, float, Former]  # last sent torque count and force [N]; states before them
 ServoState = tuple[TickConstants, LawState, Ledger, Held, Signs]
 SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (usb.device), host flags, index offset, delay
@@ -335,7 +339,7 @@ KIND: Final = 1  # place in a Request
 
 
 def in_slots(requests: tuple[Request, ...], lost: int) -> tuple[Request, ...]:
-    """`requests` with their ticks as slots, when `lost` slots have no tick."""
+    """Return `requests` with their ticks as slots, when `lost` slots have no tick."""
     if not lost:
         return requests
     return tuple(
@@ -346,14 +350,14 @@ def in_slots(requests: tuple[Request, ...], lost: int) -> tuple[Request, ...]:
 
 def _until_slot(values: tuple[float, ...], lost: int) -> tuple[float, ...]:
     place = Value.UNTIL_TICK
-    # not looked at yet: a mask that is none is refused by the command that it came with
+    # not yet validated: the command refuses an invalid mask
     if not names_places(values) or place not in masked_places(values):
         return values
     return (*values[:place], values[place] + lost, *values[place + 1 :])
 
 
 def fault_request(number: int) -> Request:
-    """The servo's request to itself to enter the fault `number` (`faults.BY_NUMBER`)."""
+    """Return the servo's request to itself to enter the fault `number` (`faults.BY_NUMBER`)."""
     return 0, FAULT_EVENT, 0, 0, (float(number),)
 
 
@@ -363,21 +367,21 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 # host flags
 LINK_UP = 1
 GATEWAY_ALIVE = 2
-AMPLIFIER_TOLD = 4  # the board says whether its amplifier is ready
+AMPLIFIER_TOLD = 4  # the board reports whether its amplifier is ready
 DEVICE_DIFFERS = 8  # the board contradicts its device file (usb.agreement)
 RATE_NOT_HELD = 16  # the bus is too slow for the rate (usb.transport)
-NO_TEMPERATURE = 32  # the board does not measure the winding: its count means nothing
-COMPENSATES = 64  # the board has a resistance DAC and does not move it by itself
+NO_TEMPERATURE = 32  # the board does not measure the winding: ignore its count
+COMPENSATES = 64  # the board has a resistance DAC that it does not control itself
 
 BOARD_FAULT = int(StatusBit.AMPLIFIER_FAULT | StatusBit.ENCODER_FAULT)
-CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # what CLEAR_FAULT may end
+CLEARABLE = BOARD_FAULT | int(StatusBit.OVER_TEMPERATURE)  # that CLEAR_FAULT may end
 ATTENTION = int(StatusBit.WATCHDOG | StatusBit.OVER_TEMPERATURE) | BOARD_FAULT
 AUTHORITY = int(StatusBit.ENABLED)
 
 
 def watch(flags: int) -> tuple[int, int]:
-    """Status bits that count in the answer to an OUT frame with `flags`, and what they are while
-    nothing is wrong: authority where it was asked.
+    """Return the status bits that count in the answer to an OUT frame with `flags`, and their
+    values without a fault. They include authority if it was requested.
     """
     if flags & OutFlag.ENABLE:
         return ATTENTION | AUTHORITY, AUTHORITY
@@ -385,7 +389,7 @@ def watch(flags: int) -> tuple[int, int]:
 
 
 def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
-    """Level of active damping [N s/m] that the table wants at `tick`, before the slew limit."""
+    """Return the level of active damping [N s/m] of the table at `tick`, before the slew limit."""
     if plan.state in LATCHED:
         return held_damping(
             plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety
@@ -394,8 +398,8 @@ def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
 
 
 def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> Plan:
-    """`plan` with its active damping `elapsed` periods further: slew-limited, but released from a
-    latched state on time.
+    """Return `plan` with its active damping advanced by `elapsed` periods. It is slew-limited,
+    except for the release from a latched state, which is on time.
     """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
@@ -408,7 +412,7 @@ def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> P
 
 
 def damping_count(level: float, params: ServoParams) -> int:
-    """DAC count for `level` [N s/m], inside the DAC and the device's limit."""
+    """Return the DAC count for `level` [N s/m], inside the DAC and the device's limit."""
     return params.device.active_damping.to_count(
         min(level, params.device.active_damping_limit_ns_per_m), 0, U16_HIGHEST
     )
@@ -423,8 +427,8 @@ def tick_constants(
     flags: int,
     host: int,
 ) -> TickConstants:
-    """What the ticks from `tick` on need of `plan`, which renders `environment`, with `flags` in
-    their OUT frames.
+    """Return the constants of the ticks from `tick` on. `plan` renders `environment`, with `flags`
+    in its OUT frames.
     """
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
@@ -471,19 +475,19 @@ def tick_constants(
 
 
 def standing_flags(plan: Plan) -> int:
-    """Flags of every record while `plan` holds."""
+    """Return the flags of every record while `plan` holds."""
     return int(Flag.CONTROLLED) if plan.control.places else 0
 
 
 def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float) -> LawInputs:
-    """The law's numbers at `tick`.
+    """Return the inputs of the law at `tick`.
 
-    K-B-M, walls, ends of the workspace and the limit all carry the gain: it is one of the force, so
-    that a force at its limit comes and goes along the ramp too.
+    K-B-M, walls, ends of the workspace and the limit all include the gain. A force at its limit
+    therefore follows the ramp too.
     """
     gain = plan.gain.value(tick)
     at = plan.values
-    # no law's force: the push of a homing that was stopped, on its way out
+    # a force from outside the law: the fading push of a stopped homing
     bias = plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
     return (
         gain * at[Value.STIFFNESS].value(tick),
@@ -503,7 +507,7 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
 
 
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
-    """First tick after `tick` at which the plan gives other values than now."""
+    """Return the first tick after `tick` at which the plan gives other values than now."""
     ramps = (plan.gain, plan.fade, *plan.values.values())
     if (
         plan.state is State.HOMING
@@ -528,7 +532,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
 
 
 def flatten(state: ServoState) -> tuple[Any, ...]:
-    """`state` as tuples, numbers and text."""
+    """Return `state` as tuples, numbers and text."""
     settled, law, ledger, held, signs = state
     plan = settled.plan
     plain = plan._asdict() | {
@@ -564,7 +568,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
 
 
 def unflatten(plain: Sequence[Any]) -> ServoState:
-    """The state in `plain`, whose tuples may have become lists on the way."""
+    """Return the state in `plain`, whose tuples may have become lists."""
     wake, environment, coefficients, flags, damping, blob, *others, plan = map(_tuples, plain)
     fields = dict(zip(Plan._fields, plan, strict=True))
     first, second = (FilterParams(*one) for one in fields["filters"])

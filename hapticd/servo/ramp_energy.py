@@ -1,10 +1,10 @@
 """The energy that changes of parameters add, and the budget that makes ramps wait.
 
-A display that is passive at every instant may still be pumped. Stiffening a spring while it is bent
-and softening it while it is not gives energy to the hand, and a fixed rhythm finds that phase by
-itself (parametric resonance). 1 kg under a spring that goes from 40 to 380 N/m and back, each in 50
-ms and every 110 ms, grows by 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of work shows this,
-because the energy that a ramp adds is not lost.
+A display that is passive at every instant may still be pumped. A spring gives energy to the hand if
+it stiffens while deflected and softens while not. A fixed rhythm reaches that phase by itself
+(parametric resonance). Example: a spring on 1 kg ramps from 40 to 380 N/m and back, each in 50 ms
+and every 110 ms. The motion grows by a factor of 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of
+work shows this, because the energy that a ramp adds is not lost.
 
 So each tick books the energy that its change of parameters adds to the energy stored at the present
 position of the handle, element by element:
@@ -41,14 +41,14 @@ from hapticd.servo.plan import Booking, Plan
 
 SHARES: Final = 20  # of a second: 21 bookings at most, in a checkpoint too
 DAMPINGS = frozenset({Value.VIRTUAL_DAMPING, Value.WALL_VIRTUAL_DAMPING})  # store nothing
-GAIN: Final = -1  # no place of a command
+GAIN: Final = -1  # not a place of a command
 WALL: Final = 1  # place among the elements that store energy
 MOVES = frozenset({Value.WALL_POSITION, Value.WALL_SIDE})
 
 
 def spring_energy(stiffness: float, deflection: float, limit: float, power: int = 1) -> float:
-    """Energy [J] of a spring [N/m^power] at `deflection` [m] whose force is clamped to `limit` [N];
-    negative for a negative one.
+    """Return the energy [J] of a spring [N/m^power] at `deflection` [m] whose force is clamped to
+    `limit` [N]. It is negative for a negative spring.
     """
     size = abs(stiffness)
     bent = abs(deflection)
@@ -60,8 +60,8 @@ def spring_energy(stiffness: float, deflection: float, limit: float, power: int 
 
 
 def stored(environment: LawInputs, x: float, v: float) -> tuple[float, ...]:
-    """Energy [J] that the elements of `environment` store at `x` [m] and `v` [m/s]: spring, WALL,
-    ends, mass, further springs.
+    """Return the energies [J] that the elements of `environment` store at `x` [m] and `v` [m/s].
+    Order: spring, WALL, ends, mass, further springs.
     """
     stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = environment
     depth = max(0.0, (x - wall_x) * side)
@@ -80,18 +80,20 @@ def stored(environment: LawInputs, x: float, v: float) -> tuple[float, ...]:
 
 
 def added(before: tuple[float, ...], after: tuple[float, ...]) -> float:
-    """Energy [J] that the elements gained from one to the other, without what others lost."""
+    """Return the energy [J] gained by elements between the two, without the losses of others."""
     pairs = zip(before, after, strict=True)
     return sum([new - old for old, new in pairs if new > old])
 
 
 def share_of(tick: int, rate_hz: float) -> int:
-    """Number of the share of a second in which `tick` lies."""
+    """Return the number of the share of a second in which `tick` lies."""
     return int(tick * SHARES / rate_hz)
 
 
 def booked(plan: Plan, energy_j: float, tick: int, rate_hz: float) -> Plan:
-    """`plan` with `energy_j` > 0 booked at `tick`, and without what is older than a second."""
+    """Return `plan` with `energy_j` > 0 booked at `tick`, and without bookings older
+    than a second.
+    """
     share = share_of(tick, rate_hz)
     *others, newest = plan.bookings or (Booking(share, 0.0),)
     if newest.share == share:
@@ -101,7 +103,7 @@ def booked(plan: Plan, energy_j: float, tick: int, rate_hz: float) -> Plan:
 
 
 def too_much(plan: Plan, energy_j: float, tick: int, rate_hz: float, budget_j: float) -> bool:
-    """Whether `energy_j` more have to wait; never, if nothing was brought in within the second."""
+    """Return whether `energy_j` must wait; never, if no energy was booked within the second."""
     if not energy_j > 0.0:
         return False
     oldest = share_of(tick, rate_hz) - SHARES
@@ -110,7 +112,9 @@ def too_much(plan: Plan, energy_j: float, tick: int, rate_hz: float, budget_j: f
 
 
 def falls(place: int, start: float, there: float, wall_gains: bool) -> bool:
-    """Whether a value that goes from `start` to `there` is one that no ramp of it holds back."""
+    """Return whether a value that goes from `start` to `there` decreases, so that its ramp is not
+    held.
+    """
     if place in MOVES:
         return not wall_gains
     if place in DAMPINGS:
@@ -119,8 +123,8 @@ def falls(place: int, start: float, there: float, wall_gains: bool) -> bool:
 
 
 def paused(plan: Plan, before: Plan, last_tick: int, tick: int, wall_gains: bool) -> Plan:
-    """`plan` with all that does not fall where `before` had it at `last_tick`, and with what was
-    then left of its ramp. `wall_gains`: the wall would store more, so it does not move either.
+    """Return `plan` with all values that do not fall kept as in `before` at `last_tick`, with the
+    rest of their ramps. `wall_gains`: the wall would store more, so it does not move either.
     """
 
     def part(place: int, old: Ramp, new: Ramp) -> Ramp:
@@ -128,7 +132,7 @@ def paused(plan: Plan, before: Plan, last_tick: int, tick: int, wall_gains: bool
         there = new.value(tick)
         if there == start or falls(place, start, there, wall_gains):
             return new
-        # a ramp that begins in this tick has nothing behind it yet
+        # a ramp that starts in this tick has not progressed yet
         begun = max(min(last_tick, tick), new.start_tick)
         return Ramp(start, new.end, tick, max(1, new.start_tick + new.ticks - begun))
 

@@ -24,7 +24,9 @@ def rehearsal(
     mailbox: ServoMailbox,
     now: Callable[[], tuple[ServoState, int, int]],
 ) -> Callable[[], None]:
-    """What the loop calls while it waits; `now` gives state, tick and slot of the next tick."""
+    """Return the function that the loop calls while it waits. `now` returns state, tick and slot of
+    the next tick.
+    """
     words = mailbox.words
     stop_word = mailbox.stop_word.descriptor
     pack_stepped = layout.STEPPED.pack_into
@@ -41,7 +43,7 @@ def rehearsal(
         sample = (head[HEAD_ENCODER], head[HEAD_STATUS], head[HEAD_TEMPERATURE])
         state, tick, slot = now()
         settled = state[SETTLED]
-        # not the slow path: cold it takes longer than the spin
+        # not the slow path: with cold caches it takes longer than the spin
         if slot < settled.wake_tick:
             step(state, (), (*sample, 0, settled.host, 0, 0.0, 0, 0), slot)
         _ = (

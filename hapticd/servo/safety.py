@@ -1,11 +1,11 @@
 """The safety table: the state after a command, and the torque and damping that a state allows.
 
     state      torque              active damping                         leaves by
-    disabled   0                   0 unless asked                         enable, home, stop, fault
-    enabled    law, limited        as asked                               disable, stop, fault
-    homing     homing law, its     as asked                               done, disable, stop,
+    disabled   0                   0 unless requested                     enable, home, stop, fault
+    enabled    law, limited        as requested                           disable, stop, fault
+    homing     homing law, its     as requested                           done, disable, stop,
                own limit                                                  fault
-    stopped    what acted, to 0    max(current, safe) for 2 s,            reset, while no cause
+    stopped    acting force, to 0  max(current, safe) for 2 s,            reset, while no cause
                in 20 ms            then to 0 in 0.5 s                     persists
     fault      as in stopped       as in stopped                          reset, while no cause
                                                                           persists
@@ -26,9 +26,9 @@ from hapticd.mailbox.layout import Command, Result
 
 State = layout.State
 
-FAULT_EVENT = 100  # internal command: something is lost; its first value is the fault number
+FAULT_EVENT = 100  # internal command: enter a fault; its first value is the fault number
 PERTURB_DONE_EVENT = 101
-ORPHANED_EVENT = 102  # in place of what a gateway that is gone asked for
+ORPHANED_EVENT = 102  # replaces a request of an earlier gateway
 LATCHED = layout.LATCHED
 GRANTED = frozenset({State.ENABLED, State.HOMING})  # torque authority
 
@@ -66,15 +66,15 @@ assert len(TABLE) == len(State) * len(_COLUMNS)
 
 
 def transition(state: State, kind: int) -> State | Result:
-    """Next state after command `kind`, or why it is refused. Kinds without a column never
-    change the state.
+    """Return the next state after command `kind`, or why it is refused. Kinds without a column
+    never change the state.
     """
     found = TABLE.get((state, kind))
     return state if found is None else found
 
 
 def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) -> Result | None:
-    """Why enabling is refused although the state allows it; None if it is not."""
+    """Return why enabling is refused although the state allows it; None if it is not."""
     if cause == BY_CODE["no_authority"].number:
         return Result.REFUSED_NO_AUTHORITY
     if cause:
@@ -87,7 +87,7 @@ def enable_refusal(homed: bool, home_required: bool, gateway: bool, cause: int) 
 
 
 def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> float:
-    """Active damping [N s/m] of a latched state `elapsed_s` after it was entered with
+    """Return the active damping [N s/m] of a latched state `elapsed_s` after it was entered with
     `entry_level`.
     """
     hold = max(entry_level, safety.safe_active_damping_ns_per_m)

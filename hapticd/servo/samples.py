@@ -23,7 +23,7 @@ from hapticd.usb.session import ENCODER_BITS
 
 
 class Samples:
-    """The samples of the device of `params`, as its law gets them."""
+    """The samples of the device of `params`, prepared for its law."""
 
     def __init__(self, params: ServoParams) -> None:
         position = params.device.position
@@ -35,12 +35,12 @@ class Samples:
         self._first_origin = round_half_up(position.offset_count)
 
     def position_m(self, plan: Plan, encoder: int) -> float:
-        """The position [m] at an encoder count."""
+        """Return the position [m] at an encoder count."""
         return (encoder - plan.origin) * self._m_per_count
 
     def unwrapped(self, state: ServoState, encoder: int) -> ServoState:
-        """`state` with its origin where the encoder's counter went round behind samples that were
-        lost or doubted; behind one that came the tick itself sees it.
+        """Return `state` with its origin corrected if the encoder's counter wrapped during lost or
+        doubted samples. The tick itself detects a wrap after a regular sample.
         """
         settled, law, ledger, held, signs = state
         plan = settled.plan
@@ -56,8 +56,8 @@ class Samples:
     def filled(
         self, plan: Plan, law: LawState, sample: Sample, tick: int
     ) -> tuple[Plan, tuple[float, ...], int]:
-        """`plan` with a sample to be used, the positions [m] that the law gets of samples before it
-        that were doubted or lost, and record flags.
+        """Return `plan` for a usable sample, the positions [m] in place of doubted or lost samples
+        before it, and record flags.
         """
         encoder, _, _, arrival, _, _, _, _, _ = sample
         if plan.doubted:
@@ -70,7 +70,7 @@ class Samples:
     def _undoubted(
         self, plan: Plan, law: LawState, encoder: int, arrival: int, tick: int
     ) -> tuple[Plan, tuple[float, ...], int]:
-        """`plan` after a sample that follows doubted ones, the positions [m] that the law gets of
+        """Return `plan` after a sample that follows doubted ones, the positions [m] in place of
         those, and record flags.
         """
         *doubted, x = (self.position_m(plan, count) for count in (*plan.doubted, encoder))
@@ -89,14 +89,14 @@ class Samples:
         return counted, _line(law[0], x, len(doubted)), int(Flag.GLITCH)
 
     def believable(self, plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
-        """Whether a sample came where those before it lead, over a gap of lost ones too."""
+        """Return whether a sample continues those before it, over a gap of lost ones too."""
         x = self.position_m(plan, encoder)
         return 0 <= arrival < SEED and abs(x - law[0] - (arrival + 1) * law[1]) <= self._bend_m
 
     def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
-        """`plan` with the origin that is left of it."""
+        """Return `plan` with its origin, or without it if the sample shows that it is lost."""
         _, status, _, arrival, _, _, _, _, _ = sample
-        # another life of the board: its counter began anew, from wherever the device was
+        # the board has restarted: its counter started again, at an unknown position
         if arrival == SEED:
             plan = without_origin(plan)._replace(origin=self._first_origin)
         if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
@@ -111,8 +111,8 @@ class Samples:
         settled: TickConstants,
         effect: int,
     ) -> tuple[LawState, Ledger]:
-        """Feed the filters the `positions` [m] of samples without a tick of their own, while the
-        last force was held and the board reported `effect` [counts] of active damping.
+        """Feed the filters the `positions` [m] of samples without a tick. The last force was held
+        meanwhile, and the board reported `effect` [counts] of active damping.
         """
         level = self._params.device.active_damping.to_value(effect)
         resistance = self._own.resistance + level * self._rate_hz
@@ -130,5 +130,4 @@ class Samples:
 
 
 def _line(start: float, end: float, lost: int) -> tuple[float, ...]:
-    """`lost` positions [m] on the straight line between `start` and `end`."""
     return tuple(start + (end - start) * index / (lost + 1) for index in range(1, lost + 1))

@@ -66,8 +66,8 @@ from hapticd.usb.frames import OutFlag, StatusBit
 
 __all__ = ["refiltered"]
 
-RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of a sample that is believed
-UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR-0011)
+RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of an accepted sample
+UNHEARD = 3  # consecutive ticks without a frame: torque counts as not granted (ADR-0011)
 
 
 class SlowPath:
@@ -90,7 +90,9 @@ class SlowPath:
     def tick(
         self, state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
-        """The state for the fast path, whether the sample may be used, answers, record flags."""
+        """Return the state for the fast path, whether the sample is usable, answers, and record
+        flags.
+        """
         encoder, _, _, arrival, host, _, _, _, effect = sample
         if 0 < arrival < SEED or state[SETTLED].plan.doubted:
             state = self._samples.unwrapped(state, encoder)
@@ -98,8 +100,8 @@ class SlowPath:
         coefficients = settled.coefficients
         plan = watchdog_trial.followed(settled.plan, settled.out_flags)
         before = plan
-        # periods since the last tick, while something makes every tick come here; a look at the
-        # winding whose own slot was lost says nothing of that
+        # periods since the last tick, if every tick takes the slow path; a reading of the winding
+        # may be late because its own slot was lost
         looks = settled.wake_tick == plan.winding.due_tick
         elapsed = 1 if looks else max(1, tick - settled.wake_tick + 1)
         usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
@@ -115,7 +117,7 @@ class SlowPath:
             plan = self._authorised(plan, sample, tick, elapsed)
         elif -arrival >= UNHEARD:
             plan = self._unheard(plan, tick)
-            ledger = unknown_before(ledger)  # what was booked is not what is sent now
+            ledger = unknown_before(ledger)  # the booked force is no longer the sent one
         acting_n = 0.0 if plan.unauthorised else held_n
         gateway = bool(host & GATEWAY_ALIVE)
         last_tick = min(settled.wake_tick, tick) - 1
@@ -156,7 +158,7 @@ class SlowPath:
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     def _environment(self, plan: Plan, tick: int) -> LawInputs:
-        """The law's numbers: of `plan`, while it homes for its push alone."""
+        """Return the inputs of the law for `plan`; during homing only its push."""
         if plan.state is State.HOMING:
             numbers = 0.0, 0.0, 0.0, plan.homing.force_n, self._homing_limit_n
             nothing = 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0  # no wall, and the ends out of reach
@@ -164,21 +166,21 @@ class SlowPath:
         return environment_of(plan, tick, self._params.soft_ends, self._params.force_limit_n)
 
     def _fading(self, plan: Plan, tick: int) -> tuple[int, float]:
-        """Torque count and force [N] of what is left where there is no sample to believe."""
+        """Return torque count and force [N] of the remaining fade, without a valid sample."""
         left = plan.fade.value(tick)
         return self._params.device.force.to_count(left, I16_LOWEST, I16_HIGHEST), left
 
     def _authorised(self, plan: Plan, sample: Sample, tick: int, elapsed: int) -> Plan:
-        """`plan` after what the board says of the torque that was asked of it: while it is
-        withheld nothing is rendered, and when it is granted again the gain begins at 0.
+        """Return `plan` after the board's report about the requested torque. While torque is
+        withheld nothing is rendered; when it is granted again, the gain starts at 0.
         """
         if plan.state in LATCHED and not sample[STATUS] & AUTHORITY:
-            # what the board has taken does not come back with what is left of a fade
+            # force withdrawn by the board does not return with the rest of a fade
             return powerless(plan)._replace(unauthorised=0)
         if plan.state not in GRANTED or tick <= plan.since_tick:
             return plan._replace(unauthorised=0) if plan.unauthorised else plan
         if not sample[STATUS] & AUTHORITY:
-            # a perturbation would come back at once with the authority
+            # a perturbation would return at once with the authority
             if not plan.unauthorised:
                 return self._withheld(plan, tick)
             count = plan.unauthorised + elapsed
@@ -190,14 +192,13 @@ class SlowPath:
         return plan._replace(unauthorised=0, gain=gain)
 
     def _withheld(self, plan: Plan, tick: int) -> Plan:
-        """`plan` from the tick on in which its force is withheld."""
         whole = plan.gain.end == 1.0 and not plan.gain.running(tick)
         since = tick if whole or plan.short_since < 0 else plan.short_since
         return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE, short_since=since)
 
     def _unheard(self, plan: Plan, tick: int) -> Plan:
-        """`plan` while no frame says whether the board still grants torque: an emergency stop may
-        be pressed and released unseen, and what is sent would act at its release.
+        """Return `plan` while no frame shows whether the board still grants torque. An emergency
+        stop may be pressed and released unseen, and the sent force would act at its release.
         """
         if plan.state in LATCHED:
             return powerless(plan)
@@ -213,8 +214,8 @@ class SlowPath:
     def _searched(
         self, plan: Plan, sample: Sample, now: CommandContext
     ) -> tuple[Plan, list[Answer]]:
-        """`plan` after one sample of homing: still searching, disabled with the origin found, or
-        at fault.
+        """Return `plan` after one sample of homing: still searching, disabled with the origin
+        found, or at fault.
         """
         encoder, status, _, _, _, index_offset, _, current, _ = sample
         seen = HomingSample(
@@ -233,12 +234,11 @@ class SlowPath:
         return with_origin(done, found.encoder - self._home_counts), []
 
     def _alarming(self, plan: Plan, alarm: int) -> int:
-        """The alarm of a monitor, if it is on and there is force that it could end."""
         watched = plan.limit_cycle_faults or alarm == OVERSPEED
         return alarm if watched and plan.state in GRANTED else 0
 
     def _watched(self, plan: Plan, x: float, force_n: float, tick: int) -> Plan:
-        """`plan` with its push followed, while the signs of the device are not verified."""
+        """Return `plan` with its push followed, while the signs of the device are not verified."""
         if not self._params.device.commissioning or plan.state not in GRANTED:
             return plan
         return plan._replace(push=followed(plan.push, x, force_n, tick, self._params))
@@ -275,8 +275,8 @@ class SlowPath:
     def _nothing_but_lost_frames(
         self, state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> bool:
-        """The usual reason to be here while a busy host drops slots; the plan stays as it is,
-        so the slow path would be late too.
+        """Return whether a lost frame is the only reason for the slow path. This is usual while a
+        busy host drops slots. The plan stays as it is, because the slow path would be late too.
         """
         _, status, temperature, arrival, host, _, _, _, _ = sample
         settled = state[SETTLED]
@@ -286,7 +286,7 @@ class SlowPath:
         return calm and 0 < arrival <= self._params.safety.missing_frames_limit
 
     def _begins_anew(self, before: Plan, plan: Plan, arrival: int, tick: int) -> bool:
-        """Whether the law is to start at rest: nothing is known of the motion before."""
+        """Return whether the law must start at rest, because the motion before is unknown."""
         resetting = before.state in LATCHED and plan.state is State.DISABLED
         unwatched = plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE
         return (
@@ -297,41 +297,45 @@ class SlowPath:
         )
 
     def _begun_anew(self, before: Plan, plan: Plan, tick: int) -> tuple[Plan, int]:
-        """`plan` of a law that starts at rest, and record flags."""
+        """Return `plan` with a law that starts at rest, and record flags."""
         plan = plan._replace(doubted=())
         if plan.state is State.ENABLED and before.state is State.ENABLED:
             return plan._replace(gain=self._gain_from(tick)), int(Flag.SEEDED | Flag.QUIET_RAMP)
-        if plan.state in LATCHED:  # what faded is not rendered from a position that is new
+        if plan.state in LATCHED:  # a fading law must not act from a new position
             plan = powerless(plan)
         return plan, int(Flag.SEEDED)
 
 
 def _pending_flags(plan: Plan, wake_tick: int, tick: int) -> int:
-    """Record flags of a plan that changes with the next tick, or waits for the end of a silence."""
+    """Return record flags of a plan that changes with the next tick, or waits for the end of a
+    silence.
+    """
     if plan.silent_until > tick:
         return int(Flag.WITHHELD)
     return int(Flag.RAMPING) if wake_tick == tick + 1 else 0
 
 
 def powerless(plan: Plan) -> Plan:
-    """`plan` without what is left of its force: nothing of a fade comes back."""
+    """Return `plan` without remaining force: no fade continues."""
     return plan._replace(gain=constant(0.0), fade=constant(0.0))
 
 
 def encoder_counts(plan: Plan, tick: int) -> bool:
-    """Whether the encoder has a say: not in how the force goes that its own lies have ended."""
+    """Return whether the encoder is used: not for the fade of a force that its own glitch has
+    ended.
+    """
     return plan.fault != SENSOR_GLITCH or not plan.fade.running(tick)
 
 
 def bar(host: int) -> Result | None:
-    """Why the board that `host` tells of may make no force; None if it may."""
+    """Return why the board with flags `host` may make no force; None if it may."""
     if host & DEVICE_DIFFERS:
         return Result.REFUSED_DEVICE
     return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
 
 
 def out_flags(plan: Plan, tick: int) -> int:
-    """Flags of the OUT frame: torque authority only where the table grants torque."""
+    """Return the flags of the OUT frame: torque authority only where the table grants torque."""
     if plan.silent_until:
         return watchdog_trial.flags_of(plan, tick)
     live = plan.state in GRANTED or (
@@ -342,8 +346,8 @@ def out_flags(plan: Plan, tick: int) -> int:
 
 
 def refiltered(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
-    """The law's state for new filters: steady at the velocity that the old ones would give next,
-    without acceleration. What the old ones had still to forget does not come along.
+    """Return the law's state for new filters. It is steady at the velocity that the old filters
+    would give next, without acceleration. Transients of the old filters are dropped.
     """
     x, d, vz1, _, _, _ = law
     (b0, *_), _ = split(old)

@@ -2,14 +2,14 @@
 no I/O.
 
 The same call runs live, in lock-step and in a replay. Almost every tick takes the fast path:
-position from the count, `render`, count from the force, ledger. A tick with any other event (a
-command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes through
-`slow_path`, which makes a new state; the fast path follows as usual.
+position from the count, `render`, count from the force, ledger. A tick with a command, a running
+ramp, a lost frame, a status bit or a missing heartbeat first takes `slow_path`, which makes a new
+state; the fast path follows as usual.
 
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
-State is a short tuple (see `plan`). Its first place holds everything slow, so a tick passes that on
-in one piece. The force limit is the last step before the wire: the law clamps in newtons, this
-module clamps the count once more.
+State is a short tuple (see `plan`). Its first item contains everything that changes rarely, so a
+tick passes it on as one object. The force limit is the last step before the wire: the law clamps in
+newtons, this module clamps the count once more.
 
 The state must have no mutable values. No time or random number may be read here, and no float may
 reach the wire.
@@ -63,8 +63,8 @@ _ENABLE = int(OutFlag.ENABLE)
 
 
 def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
-    """Disabled, at rest at count 0; the first sample of a link seeds the filters where the
-    device is.
+    """Return the state disabled, at rest at count 0. The first sample of a link seeds the filters
+    at the position of the device.
     """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
@@ -76,14 +76,14 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
 
 
 def with_more(output: Output, flags: int, answers: tuple[Any, ...]) -> Output:
-    """`output` with what the tick had found before it began anew."""
+    """Return `output` with the findings of the tick before it was repeated."""
     torque, x, v, a, spring, damper, inertia, field, applied, later_flags, later = output
     parts = (torque, x, v, a, spring, damper, inertia, field, applied)
     return (*parts, flags | later_flags, answers + later)
 
 
 def make_step(params: ServoParams) -> Step:
-    """The step for one device."""
+    """Return the step function for one device."""
     slow_path = SlowPath(params).tick
     rate_hz = params.realtime.rate_hz
     force = params.device.force
@@ -123,7 +123,7 @@ def make_step(params: ServoParams) -> Step:
     def missing(
         state: ServoState, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
-        """No sample to believe: what was sent is sent again (0 once the torque is off)."""
+        """Repeat the last output, without a valid sample (0 once the torque is off)."""
         _, (x, *_), _, (torque, applied, _), _ = state
         nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # velocity, acceleration, parts of the force
         return state, (torque, x, *nothing, applied, flags | _MISSING, answers)
@@ -149,9 +149,7 @@ def make_step(params: ServoParams) -> Step:
         flags: int,
         answers: tuple[Any, ...],
     ) -> tuple[ServoState, Output]:
-        """The encoder's counter went round: its origin goes along, and the sample is judged
-        again.
-        """
+        """Shift the origin after a wrap of the encoder's counter, and judge the sample again."""
         settled, law, ledger, held, signs = state
         origin = settled.origin + (turns << ENCODER_BITS)
         settled = replace(settled, origin=origin, plan=settled.plan._replace(origin=origin))
@@ -163,8 +161,8 @@ def make_step(params: ServoParams) -> Step:
     def surprised(
         state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
-        """A sample that bends the motion: it is not believed yet, or the one before it was the
-        glitch, too small to be doubted; then the tick begins anew from before that one.
+        """Handle a sample that bends the motion. It is doubted, unless the sample before it was a
+        glitch too small to be doubted. Then the tick is repeated from before that one.
         """
         settled, law, _, held, signs = state
         _, _, (before, booked) = held
@@ -179,8 +177,8 @@ def make_step(params: ServoParams) -> Step:
     def doubtful(
         state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
-        """A sample that is not believed yet: the force is that of the straight continuation, the
-        law stays as it was (`servo.glitch`).
+        """Handle a doubted sample: the force is that of the straight continuation, and the law
+        stays as it was (`servo.glitch`).
         """
         settled, law, ledger, held, signs = state
         encoder, _, _, _, host, _, *others = sample

@@ -22,8 +22,8 @@ REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
 
 
 def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
-    """`wait(deadline_ns, rehearse)` -> monotonic ns at or after it. The spin is at most 0.4
-    periods: a core must breathe.
+    """Return `wait(deadline_ns, rehearse)` -> monotonic ns at or after the deadline. The spin takes
+    at most 0.4 periods: the core needs idle time.
     """
     margin_ns = min(spin_ns, int(0.4 * period_ns))
     clock = time.monotonic_ns
@@ -45,7 +45,7 @@ def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
 
 
 def virtual_wait(clock: Clock) -> Wait:
-    """`wait` on a clock that jumps."""
+    """Return `wait` on a clock that jumps."""
 
     def wait(deadline_ns: int, _rehearse: Callable[[], object]) -> int:
         clock.sleep_until_ns(deadline_ns)
@@ -55,5 +55,5 @@ def virtual_wait(clock: Clock) -> Wait:
 
 
 def first_deadline(now_ns: int, period_ns: int) -> int:
-    """A deadline a few periods ahead, half a period off the millisecond."""
+    """Return a deadline a few periods ahead, half a period off the millisecond."""
     return (now_ns // NS_PER_MS + 3) * NS_PER_MS + period_ns // 2

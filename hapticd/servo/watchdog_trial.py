@@ -23,17 +23,19 @@ from hapticd.usb.frames import OutFlag
 
 ENABLE = int(OutFlag.ENABLE)
 LISTEN_S = 8e-3
-WITHHELD = 0x100  # among the flags of an OUT frame, which have eight bits: there is none
+WITHHELD = 0x100  # above the eight flags of an OUT frame: no frame is sent
 
 
 def flags_of(plan: Plan, tick: int) -> int:
-    """Flags of the OUT frame of a silent servo."""
+    """Return the flags of the OUT frame of a silent servo."""
     return WITHHELD if tick < plan.silent_until else ENABLE
 
 
 def listens(plan: Plan, slot: int, rate_hz: float) -> bool:
-    """Whether the tick after `slot` of a silence reads, in vain: a lost link is noticed, and a
-    simulated board is played. The last ones do not: behind them comes the board's answer.
+    """Return whether the tick after `slot` of a silence reads, in vain.
+
+    A lost link is then noticed, and a simulated board advances. The last ticks do not read, because
+    the board's answer follows them.
     """
     every = round_half_up(LISTEN_S * rate_hz)
     return (plan.silent_until - slot) % (every + 1) == every
@@ -42,7 +44,7 @@ def listens(plan: Plan, slot: int, rate_hz: float) -> bool:
 def begun(
     plan: Plan, values: tuple[float, ...], tick: int, params: ServoParams
 ) -> tuple[Plan, Result]:
-    """`plan` silent from `tick` on, or why it may not be."""
+    """Return `plan` silent from `tick` on, or why it may not be."""
     if plan.state is not State.DISABLED or plan.silent_until:
         return plan, Result.REFUSED_STATE
     if Value.SILENCE_S not in masked_places(values) or out_of_range(values, params):
@@ -53,6 +55,8 @@ def begun(
 
 
 def followed(plan: Plan, sent_flags: int) -> Plan:
-    """`plan` after a tick whose frame had `sent_flags`: a silence ends with its question."""
+    """Return `plan` after a tick whose frame had `sent_flags`: the silence ends with the request
+    for authority.
+    """
     asked = plan.silent_until and sent_flags & ENABLE
     return plan._replace(silent_until=0) if asked else plan

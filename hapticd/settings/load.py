@@ -344,7 +344,7 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         )
     yield from _order_rule(("travel",), "lower_m", "upper_m", device.travel)
     if device.simulated and plant is None and device.model is None:
-        yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
+        yield Mistake(("plant",), None, "is missing; a simulated board needs a device to move")
     yield from _order_rule(("plant",), "lower_stop_m", "upper_stop_m", plant)
     yield from _home_rules(device)
     yield from _resistance_rules(device)
@@ -461,7 +461,7 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
     if model is None:
         return
     if device.plant is not None:
-        yield Mistake(("plant",), None, "stands beside [model]; keep one of them")
+        yield Mistake(("plant",), None, "is there as well as [model]; keep one of them")
     yield from chosen_rules(device, ("model", "effects"), model.effects)
     yield from _winding_rule(device, model)
     for key in TABLES:

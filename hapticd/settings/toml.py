@@ -37,7 +37,7 @@ def shipped(folder: str) -> Path:
     for base in (_PACKAGE / "_data", _PACKAGE.parent):
         if (base / folder).is_dir():
             return base / folder
-    raise ConfigError(f"{folder}/ is missing beside {_PACKAGE}; install hapticd again")
+    raise ConfigError(f"{folder}/ is missing next to {_PACKAGE}; install hapticd again")
 
 
 _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""

@@ -1,29 +1,28 @@
-"""The record of another acquisition system beside the daemon's own: where it begins, how its clock
-runs, and what it lost.
+"""Alignment of another acquisition system's record with the daemon's: its start, clock and gaps.
 
-Both recorded the same force r(i), the other one with a clock of its own, as row
+Both systems record the same force r(i). The other one has its own clock, so sample i is in row
 
     x(i) = c + (1 + e) i + k(i)
 
-of its file: c the offset, e the difference of the clocks, and k whole numbers, for a file loses
-whole samples. A gap of s samples lets k fall by s.
+of its file. c is the offset, e the difference of the clocks. k is a whole number, because a file
+loses whole samples: a gap of s samples lowers k by s.
 
-mark        c is found by the mark that the perturbation begins with (`model.excitation`), a
-            sequence of 1023 signs that correlates with nothing but itself: with noise as strong as
-            the force its coefficient is 0.7, anything else reaches 0.16 once in a million samples.
-            A negative coefficient is an inverted sign.
-pieces      From there on the perturbation is its own mark. Each quarter of a second of r is looked
-            for in the rows from where the last one was found up to where it should be by now, so a
-            gap of any size is crossed. The fraction of a sample is where the correlation between
-            the samples has its peak (`matching`).
-clock       exp(2 pi j (x - i)) does not know of k: by its phase from piece to piece e is known with
-            all gaps still in. Then k are the whole numbers that remain, and c and e a line through
-            the rest, with bisquare weights.
-gaps        lie where k changes (`matching`).
+mark        The mark at the start of the perturbation (`model.excitation`) gives c. It is a sequence
+            of 1023 signs that correlates only with itself. With noise as strong as the force its
+            coefficient is 0.7; anything else reaches 0.16 once in a million samples. A negative
+            coefficient is an inverted sign.
+pieces      After the mark, the perturbation itself is matched. Each quarter of a second of r is
+            searched for from the row of the last match to the row expected now, so the search
+            crosses a gap of any size. The peak of the correlation between the samples gives the
+            fraction of a sample (`matching`).
+clock       exp(2 pi j (x - i)) does not depend on k. Its phase from piece to piece gives e with all
+            gaps still in the record. The remaining whole numbers are k. A line through the rest,
+            with bisquare weights, gives c and e.
+gaps        are where k changes (`matching`).
 
 Limitations: a perturbation that repeats within a few seconds; a clock that wanders by half a sample
-over the record (refused: the pieces then do not agree); a gap in the half of a quarter of a second
-with which the record begins or ends, which is why those are left out.
+over the record (refused, because the pieces disagree). A gap in the first or last eighth of a
+second is not found, so the record is aligned without them.
 """
 
 from dataclasses import dataclass
@@ -38,21 +37,21 @@ from hapticd.signal.matching import Gap, bisquare_fit, coefficients, find_gaps, 
 
 __all__ = ["FASTEST", "LEAST", "NO_MARK", "Mark", "Track", "align", "find_marks"]
 
-PIECE = 1024  # samples that are looked for at once
-LEAST = 0.25  # coefficient of a piece or a mark that was found: eight standard deviations of chance
-FEWEST = 8  # pieces, for a clock
-FASTEST = 1e-3  # difference of two clocks, relative: more is another rate
-AGREED = 0.25  # samples off the line at most, of a piece that agrees with it
-MOSTLY = 0.5  # of the pieces have to be found
-STEADY = 0.8  # of those have to agree: a clock that wanders spreads them evenly
-MARKS = 16  # looked at in one file
+PIECE = 1024  # samples per piece
+LEAST = 0.25  # minimum coefficient of a match: eight standard deviations of chance
+FEWEST = 8  # minimum number of pieces for a clock
+FASTEST = 1e-3  # maximum relative difference of two clocks; more is another rate
+AGREED = 0.25  # maximum distance in samples from the line of a piece that agrees with it
+MOSTLY = 0.5  # minimum share of pieces found
+STEADY = 0.8  # minimum share of those that agree: a wandering clock spreads them evenly
+MARKS = 16  # maximum number of marks examined in a file
 
 NO_MARK = "start the other system before the trial, and run the trial with --mark"
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Where a mark was found, and how well it fits (1: entirely, negative: inverted)."""
+    """Position of a mark and how well it fits (1: perfectly, negative: inverted)."""
 
     row: int  # of its first sample
     coefficient: float
@@ -63,32 +62,32 @@ class Clock:
     """The line x = offset + (1 + ppm 1e-6) i through the pieces."""
 
     offset_rows: float  # row of the own sample 0
-    ppm: float  # the file's clock is fast by so much
+    ppm: float  # how fast the file's clock runs
     ppm_sd: float  # standard deviation of it
     residual_samples: float  # rms of the pieces about the line
 
     def at(self, own_samples: Integers) -> Floats:
-        """Rows (n,) at samples (n,) of the own record, if nothing is lost."""
+        """Return rows (n,) at samples (n,) of the own record, if nothing is lost."""
         return np.asarray(self.offset_rows + (1.0 + 1e-6 * self.ppm) * own_samples, np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Where each row of a file stands on the clock of the file, gaps counted, and that clock beside
-    the own one.
+    """Position of each row on the clock of the file, gaps counted, and that clock relative to the
+    daemon's.
     """
 
     mark: Mark
     clock: Clock
     gaps: tuple[Gap, ...]
-    rows: Integers  # (n,) that belong to the record
+    rows: Integers  # (n,) rows of the record
     place: Integers  # (n,) of each on the file's clock
     first: int  # own sample from which on the record is aligned
     after: int  # own sample after the last
 
 
 def find_marks(force: npt.ArrayLike) -> tuple[Mark, ...]:
-    """Marks in a signal (n,) of any unit at 4 kHz, in their order; none if there is none."""
+    """Return the marks in a signal (n,) of any unit at 4 kHz, in order; empty if there are none."""
     coefficient = coefficients(mark_signs(), np.asarray(force, np.float64))
     found: list[Mark] = []
     while len(found) < MARKS and coefficient.size:
@@ -123,11 +122,11 @@ def align(own_n: npt.ArrayLike, mark_at: int, force: npt.ArrayLike) -> Track:
     return _tracked(own, other, found, (mark, clock), steps)
 
 
-# --- where the record is --------------------------------------------------------------------------
+# --- position of the record -----------------------------------------------------------------------
 
 
 def _mark_of(own: Floats, mark_at: int, other: Floats) -> Mark:
-    """The mark after which the own record follows."""
+    """Return the mark that the own record follows."""
     marks = find_marks(other)
     if not marks:
         best = float(np.abs(coefficients(mark_signs(), other)).max(initial=0.0))
@@ -148,7 +147,7 @@ def _mark_of(own: Floats, mark_at: int, other: Floats) -> Mark:
 
 
 def _follows(own: Floats, other: Floats, mark: Mark, mark_at: int) -> float:
-    """How well the first pieces of the own record are found after `mark`."""
+    """Return how well the first pieces of the own record match after `mark`."""
     sign = np.copysign(1.0, mark.coefficient)
     found = []
     for first in range(0, FEWEST * PIECE, PIECE):
@@ -159,9 +158,9 @@ def _follows(own: Floats, other: Floats, mark: Mark, mark_at: int) -> float:
 
 
 def _lags(own: Floats, other: Floats, start: int) -> Floats:
-    """Row in `other` minus own sample (n,) of each whole piece of the own record, nan where it was
-    not found; looked for from the row of the last on. `start`: the row of the own sample 0 by the
-    mark.
+    """Return row in `other` minus own sample (n,) of each whole piece of the own record; nan if not
+    found. Each search starts from the row of the last match. `start` is the row of own sample 0
+    according to the mark.
     """
     lag = np.full(own.size // PIECE, np.nan)
     expected = start  # rows minus own samples
@@ -178,7 +177,7 @@ def _lags(own: Floats, other: Floats, start: int) -> Floats:
 
 
 def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | None:
-    """Row from `lowest` to before `highest` at which `piece` begins; None: it does not."""
+    """Return the row in `lowest` .. `highest` - 1 at which `piece` begins; None if not found."""
     coefficient = coefficients(piece, other[lowest : highest + PIECE])
     if not coefficient.size:
         return None
@@ -186,11 +185,11 @@ def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | Non
     return lowest + best if coefficient[best] >= LEAST else None
 
 
-# --- how its clock runs ---------------------------------------------------------------------------
+# --- clock ----------------------------------------------------------------------------------------
 
 
 def _clock(lags: Floats, known: Integers) -> tuple[Clock, Integers]:
-    """The clock, and k (n,) of the pieces that were found, those `known` (n,), from 0."""
+    """Return the clock, and k (n,), from 0, of the pieces that were found, those `known` (n,)."""
     share = known.size / lags.size
     if known.size < FEWEST or share < MOSTLY:
         raise AnalysisError(
@@ -208,8 +207,8 @@ def _clock(lags: Floats, known: Integers) -> tuple[Clock, Integers]:
 
 
 def _rate(lag: Floats) -> float:
-    """The difference of the clocks by the lags of neighbours: its fraction of a sample is that of
-    all of them, whatever was lost, and the whole samples those of most of them, usually none.
+    """Return the difference of the clocks from the lags of neighbours. All of them give its
+    fraction of a sample, whatever was lost; most of them give the whole samples, usually 0.
     """
     steps = np.diff(lag)
     steps = steps[np.isfinite(steps)]
@@ -227,7 +226,7 @@ def _rate(lag: Floats) -> float:
 
 
 def _settled(steps: Integers) -> Integers:
-    """Whole numbers (n,) without those that stand alone: the median of three."""
+    """Remove isolated values from whole numbers (n,) with a median of three."""
     if steps.size < 3:
         return steps
     three = np.sort(np.stack((steps[:-2], steps[1:-1], steps[2:])), axis=0)
@@ -250,7 +249,7 @@ def _line(middle: Floats, lag: Floats) -> Clock:
     return Clock(float(fit[0] - fit[1] * centre), 1e6 * float(fit[1]), 1e6 * scale / spread, rms)
 
 
-# --- what it lost ---------------------------------------------------------------------------------
+# --- gaps -----------------------------------------------------------------------------------------
 
 
 def _tracked(
@@ -275,7 +274,7 @@ def _tracked(
 
 
 def _groups(number: Integers, steps: Integers) -> list[list[int]]:
-    """Where k changes, those together that are so close that one lies in the other's pieces."""
+    """Group the changes of k that are so close that one lies within the other's pieces."""
     groups: list[list[int]] = []
     for before in np.flatnonzero(np.diff(steps)).tolist():
         if groups and number[before] - number[groups[-1][-1] + 1] <= 1:

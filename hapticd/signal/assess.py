@@ -1,17 +1,16 @@
 """From the spectra of a record to its verdict, in one function.
 
-    spectra      of a window (`spectra`) or of whole periods (`periodic`); known faults of the
-                 velocity channel are taken out (`corrected`)
+    spectra      of a window (`spectra`) or of whole periods (`periodic`), corrected for known
+                 faults of the velocity channel (`corrected`)
     findings     of the samples and of the spectra (`findings`, `channels`), and those of the source
     verdict      at the resolution of the window (`verdict`)
-    resolution   where the window does not resolve what decides, the record does (`resolved`); so it
-                 does for lines below those that the window shows (`resolved`). Then the verdict is
-                 found again
-    impedance    Z with its uncertainty, at the port that was asked for (`impedance`)
+    resolution   if the window does not resolve the decisive lines, or lines below its lowest
+                 frequency, the whole record does (`resolved`), and the verdict is repeated
+    impedance    Z with its uncertainty, at the requested port (`impedance`)
 
-The samples of one trial are there. A batch keeps none: it assesses the spectra of all trials,
-simulates those again that `needs_record` names, and gives their samples to `with_samples`. A trial
-that is still under way has its spectra alone: its verdict is final where `needed` is empty.
+A single trial has its samples. A batch keeps none: it assesses the spectra of all trials, simulates
+those that report `needs_record` again, and passes their samples to `with_samples`. A trial that is
+still running has only its spectra; its verdict is final if `needed` is empty.
 
 Spectra must be those of the samples.
 """
@@ -35,8 +34,8 @@ __all__ = ["Assessment", "Criteria", "LoopModel", "MeasuredTrial", "assess"]
 
 @dataclass(frozen=True, slots=True)
 class Criteria:
-    """The band that is judged, and how; see `judge`. `skew_s`, `high_pass_hz`: known faults of the
-    velocity channel that are taken out (`corrected`).
+    """The judged band and the criteria; see `judge`. `skew_s` and `high_pass_hz` are known faults
+    of the velocity channel, which are removed (`corrected`).
     """
 
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ
@@ -50,8 +49,8 @@ class Criteria:
 
 @dataclass(frozen=True, slots=True)
 class LoopModel:
-    """What a model says of the loop: spectral radius, whether the device has no friction, and the
-    rate at which the law samples [Hz]; None where it is not known.
+    """Properties of the loop from a model: spectral radius, whether the device is free of friction,
+    and the sample rate of the law [Hz]. None: not known.
     """
 
     spectral_radius: float | None = None
@@ -61,10 +60,10 @@ class LoopModel:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTrial:
-    """The spectra of a trial as recorded, with its samples or with what is known of them.
+    """The spectra of a trial as recorded, with its samples or a summary of them.
 
-    `samples`: force [N] and velocity [m/s] (N,). `record`: of a trial that kept no samples.
-    `findings`: those of the source. A `simulated` record has no faults of its channels.
+    `samples`: force [N] and velocity [m/s] (N,). `record`: summary for a trial that kept no
+    samples. `findings`: those of the source. The channels of a `simulated` record have no faults.
     """
 
     spectra: Spectra
@@ -76,7 +75,7 @@ class MeasuredTrial:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A verdict with the `spectra` that it was found by, at the port of the probe."""
+    """A verdict, and the `spectra` at the port of the probe from which it was made."""
 
     trial: MeasuredTrial
     criteria: Criteria
@@ -86,10 +85,10 @@ class Assessment:
 
     @lazy_property
     def needed(self) -> Flags:
-        """Lines (F,) of the window that the record must resolve before the verdict stands.
+        """Lines (F,) of the window that the record must resolve before the verdict is final.
 
-        The verdict stands where all is passive at the resolution of the window. A line of which the
-        perturbation explains nothing there may be a resonance that rings for many windows.
+        The verdict is final if every line is passive at the resolution of the window. A line there
+        with no coherence may be a resonance that rings for many windows.
         """
         window = self.trial.spectra
         swells = any(one.code == "swells" for one in self.verdict.findings)
@@ -106,7 +105,7 @@ class Assessment:
 
     @property
     def impedance(self) -> Impedance:
-        """Z with its uncertainty, behind the mass of the probe where that was asked for."""
+        """Z with its uncertainty, behind the mass of the probe if requested."""
         z = impedance(self.spectra, self.criteria.estimator)
         mass_kg = self.criteria.behind_mass_kg
         return z.without_mass(mass_kg) if mass_kg else z
@@ -117,9 +116,9 @@ class Assessment:
         velocity_m_per_s: npt.ArrayLike,
         transform_n: Complexes | None = None,
     ) -> "Assessment":
-        """The assessment by the record (N,) as well; itself where that changes nothing.
+        """Return the assessment refined with the record (N,), or itself if nothing changes.
 
-        `transform_n` (N/2 + 1,): the `rfft` of the force, where it is known from another trial.
+        `transform_n` (N/2 + 1,): the `rfft` of the force, if known from another trial.
         AnalysisError for unequal lengths.
         """
         window = self.trial.spectra
@@ -141,8 +140,8 @@ class Assessment:
 
 
 def assess(trial: MeasuredTrial, criteria: Criteria, model: LoopModel) -> Assessment:
-    """Assess a trial by its spectra, and by its samples where it has them. AnalysisError as `judge`
-    and `examine`.
+    """Assess a trial from its spectra, and from its samples if it has them. AnalysisError as for
+    `judge` and `examine`.
     """
     if trial.samples is None:
         return _judged(trial, criteria, model, trial.spectra)
@@ -170,7 +169,7 @@ def _judged(trial: MeasuredTrial, criteria: Criteria, model: LoopModel, raw: Spe
 def _examined(
     trial: MeasuredTrial, criteria: Criteria, force_n: Floats, velocity_m_per_s: Floats
 ) -> Record:
-    """What the samples say, with the findings of the source and those of the spectra."""
+    """Summarise the samples, with the findings of the source and of the spectra."""
     spectra = corrected(trial.spectra, criteria.skew_s, criteria.high_pass_hz)
     record = examine(force_n, velocity_m_per_s, spectra.rate_hz)
     findings = [*record.findings, *trial.findings]

@@ -1,10 +1,10 @@
-"""The FFT of sections of 2,048 samples for 16 trials at once, and the sums over it for
-`batch_spectra`. It needs numba and llvmlite and is imported by `batch_spectra` alone.
+"""FFT of sections of 2,048 samples for 16 trials at once, and the sums over them for
+`batch_spectra`, the only module that imports it. It needs numba and llvmlite.
 
-Vectors. numba leaves it to LLVM whether a loop becomes vector instructions; a transform with its
-strides and many arrays loses that game. Here a vector of 64 bytes, 16 float32 or 8 float64, stays
-in one register, or in a few where registers are smaller. Each of its lanes is a trial, so the text
-of a scalar algorithm does 16 trials at once, whatever LLVM thinks of its loops:
+Vectors. numba leaves vectorisation to LLVM, which fails for a transform with its strides and many
+arrays. Here a vector of 64 bytes, 16 float32 or 8 float64, stays in one register, or in a few where
+registers are smaller. Each of its lanes is a trial, so scalar code processes 16 trials at once and
+does not depend on LLVM's loop vectoriser:
 
     load(a, row)        the vector of the flat array `a` that begins at byte 64 row
     store(a, row, v)    store the vector v there
@@ -14,20 +14,20 @@ of a scalar algorithm does 16 trials at once, whatever LLVM thinks of its loops:
 Transforms. A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i
 x[2n+1] of 2,048 points, half of them zero:
 
-    gather     the samples of a section, which lie among those of other trials, side by side
+    gather     copy the interleaved samples of the trials into contiguous sections
     _columns   b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
                times exp(-2 pi i b k1 / 2048)  -> row k1
     _row       k1 = 0..32: DFT of 64 points over b  -> Z[k1 + 32 k2]
     _take      Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
 
-Caches. The arithmetic would take a quarter of a trial's time; the rest is moving numbers. The sums
-of a vector are 1 MB. So all sections that wait are summed for one vector before the next one is
-begun; even k1, which need half of the sums, come before odd ones; and each sum is loaded once for
+Caches. Arithmetic alone would take a quarter of the time of a trial; the rest is memory traffic.
+The sums of a vector take 1 MB. All pending sections are therefore summed for one vector before the
+next. Even k1, which need half of the sums, come before odd ones, and each sum is loaded once for
 two sections. Rows k1 and 32 - k1 are transformed in place and summed at once, while they are in the
-first-level cache. What one trial gets does not depend on its neighbours in the vector.
+first-level cache. The result of a trial does not depend on its neighbours in the vector.
 
-Arrays must begin on a border of 64 bytes (`arrays.aligned` makes those that do), and llvmlite must
-have typed pointers in its IR builder.
+Arrays must be aligned to 64 bytes (`arrays.aligned` makes such arrays), and llvmlite must have
+typed pointers in its IR builder.
 """
 
 import operator
@@ -48,7 +48,7 @@ utils: Any = cgutils
 FLAGS = ("contract", "nsz")
 LLVM = {types.float32: ir.FloatType(), types.float64: ir.DoubleType()}
 
-PITCH = 65  # of a row: not a power of two, whose lines would fall on the same places of the cache
+PITCH = 65  # of a row; a power of two would map all rows to the same cache lines
 # vectors of half an intermediate section, of half a column
 WORK = 2 * 16 * PITCH
 PART = 2 * 16
@@ -56,7 +56,7 @@ PART = 2 * 16
 # before
 KEPT = 16
 PAIRS = 1025  # of bins k and 2048 - k
-AT_ONCE = 2  # sections: the sums are loaded and stored once for so many
+AT_ONCE = 2  # sections for which the sums are loaded and stored once
 ROOT_HALF = float(np.sqrt(0.5))
 
 
@@ -66,7 +66,7 @@ def intrinsic(code: Callable[..., Any]) -> Any:
 
 
 class Vector(types.Type):
-    """numba's type of a vector of `element`, as many as fit into 64 bytes."""
+    """numba's type of a vector of `element` that fills 64 bytes."""
 
     def __init__(self, element: Any) -> None:
         self.element = element
@@ -113,7 +113,7 @@ def store(typing: Any, array: Any, row: Any, value: Any) -> Any:
 
 @intrinsic
 def fma(typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """Compute x y + z; at least one of the three is a vector, numbers are spread over its lanes."""
+    """Return x y + z; at least one of the three is a vector; numbers are spread over its lanes."""
     kind = next(given for given in (x, y, z) if isinstance(given, Vector))
 
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -138,7 +138,7 @@ def _pointer(context: Any, builder: Any, signature: Any, given: Any, kind: Vecto
 
 
 def _spread(context: Any, builder: Any, value: Any, kind: Any, wanted: Vector) -> Any:
-    """Return `value` itself if it is a vector, else a vector with that number in all lanes."""
+    """Return `value` itself if it is a vector, otherwise a vector with that number in all lanes."""
     if isinstance(kind, Vector):
         return value
     number = context.cast(builder, value, kind, wanted.element)
@@ -161,7 +161,7 @@ def _operator(python: Any, llvm: str) -> None:
 
         return kind(x, y), code
 
-    @overload(python, strict=False)  # annotations of `found` are no part of its signature
+    @overload(python, strict=False)  # annotations of `found` are not part of its signature
     def found(x: Any, y: Any) -> Any:
         if any(isinstance(given, Vector) for given in (x, y)):
             return lambda x, y: lanewise(x, y)
@@ -264,7 +264,7 @@ def _eight(source, row, step):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True)
 def _columns(section, odd, work, part, by32, by2048):  # type: ignore[no-untyped-def]
-    """Do the first half of a section's transform for the even k1, or for the odd ones."""
+    """Compute the first half of a section's transform for the even k1, or for the odd ones."""
     for b in range(64):
         for a in range(8):
             n = 2 * (64 * a + b)
@@ -293,8 +293,8 @@ def _columns(section, odd, work, part, by32, by2048):  # type: ignore[no-untyped
 
 @njit(nogil=True)
 def _row(work, at, by64):  # type: ignore[no-untyped-def]
-    """Do the second half for the row that begins at `at`, in place: Z[k1 + 32 k2] is left at 8 (k2
-    mod 8) + k2 // 8.
+    """Compute the second half in place for the row that begins at `at`: Z[k1 + 32 k2] is left at 8
+    (k2 mod 8) + k2 // 8.
     """
     for b in range(8):
         x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(work, at + b, 8)
@@ -320,7 +320,7 @@ def _row(work, at, by64):  # type: ignore[no-untyped-def]
 
 @njit(forceinline=True)
 def _added(sums, pr, pi, xr, xi, sign, force, n, p, first):  # type: ignore[no-untyped-def]
-    """Add section n's X[k] = xr + i xi to the sums of its bin: velocity with what came before,
+    """Add section n's X[k] = xr + i xi to the sums of its bin: velocity with the section before,
     force ahead and behind, force[n, p, first : first + 4].
     """
     vr, vi, ar, ai, br, bi = sums
@@ -441,8 +441,8 @@ def gather(samples, place, waiting, number, moments):  # type: ignore[no-untyped
 def add_sections(  # type: ignore[no-untyped-def]
     waiting, count, sums, force, work, part, by32, by64, by2048, turn, order
 ):
-    """Add the first `count` of the sections that wait to the `sums` of every vector (vectors,
-    PAIRS * KEPT * 16). `force` (count, PAIRS, 8): see `_take`.
+    """Add the first `count` pending sections to the `sums` of every vector (vectors, PAIRS * KEPT *
+    16). `force` (count, PAIRS, 8): see `_take`.
     """
     for vector in range(len(sums)):
         for odd in range(2):

@@ -1,19 +1,19 @@
-"""Spectra of many trials that share one force record, while they are simulated: no velocity record
-is ever kept.
+"""Spectra of many trials that share one force record, computed during simulation without storing
+velocity records.
 
-As `covariances`, with the trials side by side: every 2,048 samples each trial's section is
-transformed once (`batch_fft`), and six numbers a frequency are summed. The force is the same for
-all, so its transforms are made once. With U of the velocity, Y of the force, s = (-1)^k for a delay
-by a section:
+The method is that of `covariances`, for all trials in parallel. Every 2,048 samples, `batch_fft`
+transforms each trial's section once and sums six numbers per frequency. The force is the same for
+all trials, so its transforms are computed once. With U of the velocity, Y of the force, s = (-1)^k
+for a delay of one section:
 
     velocity   sum conj(U_i) (U_i + s U_i+1)
     forward    sum conj(U_i) (Y_i + s Y_i+1)
     backward   sum U_i conj(Y_i + s Y_i-1)
 
-Trends are taken out of the sums afterwards (`line_products`). float32 costs 1e-7 of the largest
-value of a spectrum.
+Trends are removed from the sums afterwards (`line_products`). float32 adds an error of 1e-7 of the
+largest value of a spectrum.
 
-Trials must have one force record, and the window must have 2,048 samples (`spa` is for others).
+Trials must share one force record, and the window must have 2,048 samples (use `spa` for others).
 """
 
 from dataclasses import dataclass
@@ -37,16 +37,16 @@ from hapticd.signal.spectra import on_the_grid
 
 __all__ = ["BatchSections", "SharedForce", "shared_force"]
 
-TOGETHER = 8  # sections that wait, 4 MB: a vector's sums are brought into the cache once for all
+TOGETHER = 8  # pending sections, 4 MB: a vector's sums are loaded into the cache once for all
 
 
 @dataclass(frozen=True, eq=False)
 class SharedForce:
-    """A force record (N,), prepared once for all trials that share it."""
+    """A force record (N,), prepared once for all trials."""
 
     table: Values  # (sections, pairs of bins, 8): transforms with the section after and before, N
-    covariance: Floats  # (M + 1,) biased, of the record as it is, N^2
-    moments: Moments  # of the record, to take its line out
+    covariance: Floats  # (M + 1,) biased, of the record with its trend, N^2
+    moments: Moments  # of the record, to remove its trend
 
     @property
     def spectrum(self) -> Floats:
@@ -58,7 +58,7 @@ class SharedForce:
 def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce:
     """Prepare `force_n` (N,) float64 for sums in `scalar`, float32 or float64."""
     count = -(-force_n.size // LAG)
-    padded = np.zeros((count + 2, 2 * LAG))  # a section of nothing before and after
+    padded = np.zeros((count + 2, 2 * LAG))  # a section of zeros before and after
     np.copyto(padded[1:-1, :LAG], _cut(force_n, count))
     found = np.fft.rfft(padded, axis=1)
     sign = alternating(LAG + 1)
@@ -82,9 +82,7 @@ def shared_force(force_n: Floats, scalar: type[np.floating[Any]]) -> SharedForce
 
 
 class BatchSections:
-    """Spectral sums over `count` trials, a multiple of what a vector holds (16 float32, 8
-    float64).
-    """
+    """Spectral sums over `count` trials, a multiple of a vector's lanes (16 float32, 8 float64)."""
 
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
         from hapticd.signal import batch_fft as compiled
@@ -115,9 +113,9 @@ class BatchSections:
         self._ends: list[Floats] = []  # first section, and the last two, (count, M)
 
     def add(self, samples: Values, place: Integers) -> None:
-        """Add the next section of all trials. `samples` is flat and begins on a border of 64 bytes;
-        sample t of the section is the `count` values from vector place[t] on. After the end of the
-        record samples are 0.
+        """Add the next section of all trials. `samples` is flat and aligned to 64 bytes; sample t
+        of the section is the `count` values from vector place[t] on. Samples after the end of the
+        record are 0.
         """
         if self._taken == len(self._force.table):
             raise ValueError(f"section {self._taken + 1}: the record has {self._taken}")
@@ -132,7 +130,7 @@ class BatchSections:
             self._sum()
 
     def _sum(self) -> None:
-        """Transform the sections that wait into the sums."""
+        """Transform the pending sections and add them to the sums."""
         force = self._force.table[self._taken - self._held : self._taken]
         self._compiled.add_sections(
             self._waiting, self._held, self._sums, force, *self._rooms, *self._tables, self._order
@@ -145,8 +143,8 @@ class BatchSections:
         return self._moments[:, 2]
 
     def spectra(self) -> tuple[Floats, Complexes]:
-        """Velocity and cross spectra as `spa` gives them, (count, M + 1) each, in (m/s)^2 and N
-        m/s; to be called when all sections are in.
+        """Return velocity and cross spectra as `spa` does, (count, M + 1) each, in (m/s)^2 and N
+        m/s. All sections must have been added.
         """
         if self._held:
             self._sum()
@@ -154,7 +152,7 @@ class BatchSections:
         u = self._velocity()
         velocity = np.empty((count, LAG + 1))
         cross = np.empty((count, LAG + 1), np.complex128)
-        for first in range(0, count, self._lanes):  # what fits into the cache
+        for first in range(0, count, self._lanes):  # as many as fit into the cache
             some = slice(first, first + self._lanes)
             mine = Moments(u.length, u.total[some], u.moment[some], u.head[some], u.tail[some])
             velocity[some], cross[some] = self._finished(first // self._lanes, mine)
@@ -169,7 +167,7 @@ class BatchSections:
         return np.maximum(on_the_grid(velocity, velocity).real, 0.0), on_the_grid(forward, backward)
 
     def _summed(self, vector: int) -> Complexes:
-        """The three sums of the module's text, (3, lanes, M + 1)."""
+        """Return the three sums of the module docstring, (3, lanes, M + 1)."""
         pair, side = _place_of_bin()
         rows = self._sums[vector].reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes)
         sums = rows[:, :12].reshape(-1, 2, 3, 2, self._lanes)[pair, side]
@@ -177,7 +175,7 @@ class BatchSections:
         found = np.empty((3, self._lanes, LAG + 1), np.complex128)
         found.real = sums[:, :, 0].transpose(1, 2, 0)
         found.imag = sums[:, :, 1].transpose(1, 2, 0)
-        # the compiled loops leave twice every spectrum
+        # the compiled loops return twice each spectrum
         found *= np.array((0.25, 0.5, 0.5))[:, None, None]
         # nothing follows the last section
         found[0] += 0.25 * (real * real + imaginary * imaginary).T
@@ -201,7 +199,7 @@ class BatchSections:
         )
 
     def _copied(self) -> Floats:
-        """The newest section that waits, (count, M)."""
+        """Return the newest pending section, (count, M)."""
         section = self._waiting[:, self._held].reshape(self._vectors, LAG, self._lanes)
         return section.swapaxes(1, 2).reshape(-1, LAG).astype(np.float64)
 

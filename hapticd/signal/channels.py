@@ -1,25 +1,25 @@
-"""Faults of the measuring channels that look like physics, found in the spectra of a trial.
+"""Faults of the measuring channels that resemble physics, detected in the spectra of a trial.
 
-skew        the velocity is sampled d seconds after the force: Z is turned by e^(-jwd). |Z| stays as
-            it is, so where |Z| grows with f the device is a mass with some damping, of phase 90
-            degrees - b/(w m), and what falls off with f besides is skew. 125 us turn the phase by
-            22 degrees at 500 Hz and make (d < 0) every passive display look active.
-high-pass   an AC-coupled velocity amplifier of corner f_h: Z is multiplied by 1 + f_h/(jf). Over a
-            spring K this adds -K f_h / (2 pi f^2) to Re Z, unlike a delayed force, which adds a
-            constant. 0.1 Hz look like 4 ms at 2 Hz.
-units       a velocity in mm/s is a thousand times too fast, and the display it moves a thousand
-            times too light: lighter than a tenth of a gram between 100 and 500 Hz, or light and
-            faster than any display. That says nothing of its stability.
+skew        The velocity is sampled d seconds after the force, which multiplies Z by e^(-jwd) and
+            leaves |Z| as it is. Where |Z| grows with f the device is a mass with some damping, of
+            phase 90 degrees - b/(w m); any further fall of the phase with f is skew. 125 us turn
+            the phase by 22 degrees at 500 Hz and make (d < 0) every passive display look active.
+high-pass   An AC-coupled velocity amplifier of corner f_h multiplies Z by 1 + f_h/(jf). Over a
+            spring K this adds -K f_h / (2 pi f^2) to Re Z; a delayed force adds a constant instead.
+            0.1 Hz looks like 4 ms at 2 Hz.
+units       A velocity in mm/s is a thousand times too large, and the display then seems a thousand
+            times too light: below a tenth of a gram between 100 and 500 Hz, or light and faster
+            than any display. Such a finding does not concern stability.
 
 Skew and high-pass are fitted by least squares with bisquare weights (Beaton and Tukey 1974). The
-window's own smoothing of a spring, + b s^2 / (2 pi f)^2 with s^2 = pi^2 / (2 M^2 T^2), is taken
-out. What 90 s of noise can show is a skew from 20 us (the coupling mode of the paper's display does
-up to 11 us of it) and a corner from about 0.4 Hz; a smaller one shows when the lower band edge of a
-stiffness limit is moved.
+fit removes the window's own smoothing of a spring, + b s^2 / (2 pi f)^2 with s^2 = pi^2 / (2 M^2
+T^2). 90 s of noise reveal a skew from 20 us (the coupling mode of the paper's display causes up to
+11 us) and a corner from about 0.4 Hz. To detect a smaller corner, move the lower band edge of a
+stiffness limit.
 
-Limitations: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then nothing
-is said), or one with a mode in that band that is damped more than the paper's: two bodies of 5.5
-and 2.5 g with a mode of 660 to 1090 Hz look like up to 27 us at 4 N s/m, which is then called skew.
+Limitations: a device that is nowhere a mass between 0.06 and 0.4 of the sample rate gives no
+finding. A mode in that band with more damping than the paper's is reported as skew: two bodies of
+5.5 and 2.5 g with a mode of 660 to 1090 Hz look like up to 27 us at 4 N s/m.
 """
 
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ from hapticd.signal.spectra import Spectra
 
 __all__ = ["unit_findings"]
 
-SKEW_BAND = (0.06, 0.4)  # of the sample rate: above what K, B and M do, below the sensors' filters
+SKEW_BAND = (0.06, 0.4)  # of the sample rate: above K, B and M, below the sensors' filters
 SEGMENT = 1.08  # ratio of the ends of a stretch of frequencies
 MASS_SLOPE = (0.5, 1.7)  # of ln|Z| over ln f
 LEAST_SEGMENTS = 5
@@ -43,16 +43,16 @@ HIGH_PASS_BAND_HZ = (3.0, 15.0)
 SPRING_PHASE_DEG = -30.0  # less spring than that hides a high-pass
 LEAST_COHERENCE = 0.2
 LEAST_SKEW_S = 20e-6
-# that the coupling mode of the paper's display does (5.5 and 2.5 g, 4e4 N/m, 2 N s/m): 8.7 us
-# fitted, and 1.96 of the fit's deviations of 1.0 us; no bound for another device
+# skew of the coupling mode of the paper's display (5.5 and 2.5 g, 4e4 N/m, 2 N s/m): 8.7 us fitted,
+# plus 1.96 of the fit's deviations of 1.0 us; not a bound for other devices
 MODES_SKEW_S = 11e-6
 NORMAL = 1.96  # standard deviations to the end of a 95 % interval
-WORST_SKEW_SD_S = 5e-6  # beyond it the device was no mass with skew
+WORST_SKEW_SD_S = 5e-6  # above it the device is not a mass with skew
 LEAST_HIGH_PASS_HZ = 0.02
 CERTAINTY = 4.0  # standard deviations
-FASTEST_M_PER_S = 5.0  # rms; a device file calls less a fault of the sensor
-LIGHTEST_KG = 1e-4  # that moves at the port of a display; the paper's is 8 g
-# a display of 3 kg, its velocity in mm/s: what is fast and heavier ran away, or was pushed hard
+FASTEST_M_PER_S = 5.0  # rms; device files treat less as a sensor fault
+LIGHTEST_KG = 1e-4  # moving mass at the port of a display; the paper's is 8 g
+# a display of 3 kg with velocity in mm/s: a fast and heavier one ran away or was pushed hard
 FAST_AND_LIGHT_KG = 3e-3
 STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
 MASS_BAND_HZ = (100.0, 500.0)
@@ -63,9 +63,9 @@ _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fitted number with its standard deviation; nan where there was nothing to fit."""
+    """A fitted number with its standard deviation; nan if there were no data to fit."""
 
-    value: float  # in the unit of what was fitted
+    value: float  # in the unit of the fitted quantity
     sd: float  # standard deviation, same unit
 
 
@@ -112,15 +112,15 @@ def high_pass(trial: Spectra) -> Fitted:
 
 
 def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
-    """Name skew and high-pass where they are certain and large enough to matter."""
+    """Report skew and high-pass that are certain and large enough to matter."""
     return (*_skew_finding(skew(trial)), *_high_pass_finding(high_pass(trial)))
 
 
 def unit_findings(
     trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float
 ) -> Iterator[Finding]:
-    """Name a force or velocity beyond any display, given the rms values [N, m/s] of a record and
-    its spectra, and the unit that it may be in.
+    """Report a force or velocity beyond that of any display, with the unit it may be in. The
+    arguments are the rms values [N, m/s] of a record and its spectra.
     """
     mass_kg = moving_mass_kg(trial)
     fast = velocity_rms_m_per_s > FASTEST_M_PER_S and not mass_kg >= FAST_AND_LIGHT_KG
@@ -142,8 +142,8 @@ def unit_findings(
 
 
 def moving_mass_kg(trial: Spectra) -> float:
-    """Median of |Z| / (2 pi f) [kg] where the display is mostly a mass; nan where too little is
-    known of it.
+    """Return the median of |Z| / (2 pi f) [kg] where the display is mostly a mass; nan if fewer
+    than 8 frequencies are known.
     """
     z, f, _ = _part(trial, *MASS_BAND_HZ)
     return (
@@ -176,7 +176,7 @@ def _high_pass_finding(found: Fitted) -> Iterator[Finding]:
 
 
 def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Floats, Floats]:
-    """Impedance, frequency and weight 1/sd of Re Z between two frequencies, where there is
+    """Return impedance, frequency and weight 1/sd of Re Z between two frequencies, where there is
     coherence.
     """
     use = (
@@ -190,8 +190,8 @@ def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Flo
 
 
 def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, float]:
-    """Fit `values` by `columns`, known with `weight` = 1/sd: the first coefficient and its
-    standard deviation.
+    """Fit `columns` to `values` with `weight` = 1/sd; return the first coefficient and its standard
+    deviation.
     """
     scaled = columns * weight[:, None]
     solution, _, trust, scale = bisquare_fit(scaled, values * weight, 1.0)

@@ -1,24 +1,25 @@
-"""Displays side by side: one number for a device, and conditions under which two may be compared.
+"""Comparison of displays: one number per device, and the conditions under which two may be
+compared.
 
-Numbers: ours from the envelope, and those that others use:
+Numbers, from the envelope and from other work:
 
     width_db                        mean of 20 log10(upper/lower) of the envelope over a band of
                                     ln f: the Z-width in decibels
     stiffness_damping_area          area of the passive region in the K-B plane at one virtual mass
                                     (Colgate and Brown 1994)
     stiffness_at, stiffness_rate    largest passive K at a virtual damping B, and its slope there
-    zero_mass_bandwidth_hz          up to where a device that renders no mass moves freely: -3 dB
-                                    of |1/Z| above its largest value
+    zero_mass_bandwidth_hz          bandwidth in which a device that renders no mass moves freely:
+                                    -3 dB of |1/Z| from its largest value
 
 Conditions. Two displays bolted together have twice the K, B and M, and are not a better display:
 "Has performance really improved, or is this simply a larger device?" (Weir, Colgate and Peshkin
-2008, section 2). Divided by the mass that moves, impedances [1/s], stiffness [1/s^2] and damping
-[1/s] of the pair and of the single one are the same (`normalised`); the envelope in decibels was
-the same from the start, since maximum and minimum double together. Friction and perturbation scale
-with the mass too, so the density that belongs to it is per mass squared. Envelopes measured under
-unlike conditions are not laid over each other unless the difference is named (`check_alike`).
+2008, section 2). Divided by the moving mass, impedances [1/s], stiffness [1/s^2] and damping [1/s]
+of the pair equal those of the single one (`normalised`). The envelope in decibels needs no
+division, because maximum and minimum double together. Friction and perturbation scale with the mass
+too, so the perturbation's density is compared per mass squared. `check_alike` refuses to compare
+envelopes measured under unlike conditions unless the differences are allowed by name.
 
-A band that the envelope does not cover is refused, and so is a K-B map without the value of M.
+A band outside the envelope is refused, and so is a K-B map without the value of M.
 """
 
 from collections.abc import Collection, Sequence
@@ -43,9 +44,9 @@ __all__ = [
 ]
 
 BANDS_HZ = ((2.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, 500.0))
-CLOSE = 0.02  # relative difference of numbers that counts as none
+CLOSE = 0.02  # relative difference below which numbers count as equal
 FREE = ("device", "mass_kg")  # conditions that may differ
-# conditions that are compared divided by that power of the mass
+# power of the mass by which a condition is divided before comparison
 PER_MASS = {"probe_mass_kg": 1, "perturbation_psd_n2_per_hz": 2}
 
 
@@ -59,15 +60,15 @@ class BandWidth:
 
 
 def width_db(found: Envelope, low_hz: float, high_hz: float) -> float:
-    """Mean width [dB] of an envelope over ln f between two frequencies. AnalysisError unless the
-    envelope has two values there.
+    """Return the mean width [dB] of an envelope over ln f between two frequencies. AnalysisError
+    unless the envelope has two values there.
     """
     return float(mean_over_ln_f(found.frequency_hz, found.width_db(), (low_hz, high_hz)))
 
 
 def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, float]) -> Floats:
-    """Mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless two of
-    the frequencies (F,) [Hz] lie there.
+    """Return the mean (...,) of `values` (..., F) over ln f inside the band. AnalysisError unless
+    two of the frequencies (F,) [Hz] lie there.
     """
     low_hz, high_hz = band_hz
     inside = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
@@ -83,13 +84,13 @@ def mean_over_ln_f(frequency_hz: Floats, values: Floats, band_hz: tuple[float, f
 def widths_db(
     found: Envelope, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ
 ) -> tuple[BandWidth, ...]:
-    """`width_db` of several bands, by default of `BANDS_HZ`."""
+    """Return `width_db` of several bands, by default of `BANDS_HZ`."""
     return tuple(BandWidth(low, high, width_db(found, low, high)) for low, high in bands_hz)
 
 
 def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
-    """Area [N/m N s/m] of the passive region of the K-B plane with K >= 0 and B >= 0 at that
-    virtual mass, as a stiffness-damping plot shows it.
+    """Return the area [N/m N s/m] of the passive region of the K-B plane with K >= 0 and B >= 0 at
+    that virtual mass, as a stiffness-damping plot shows it.
     """
     stiffness, damping, _ = found.axes
     kept = np.flatnonzero(damping >= 0.0)
@@ -102,8 +103,8 @@ def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
 
 
 def stiffness_at(found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Largest passive K [N/m] at this virtual damping, linear between grid lines; nan where none is
-    passive. AnalysisError outside the grid.
+    """Return the largest passive K [N/m] at this virtual damping, linear between grid lines; nan if
+    none is passive. AnalysisError outside the grid.
     """
     stiffness, damping, _ = found.axes
     if not damping[0] <= virtual_damping_ns_per_m <= damping[-1]:
@@ -122,8 +123,8 @@ def stiffness_at(found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: fl
 def stiffness_rate(
     found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0
 ) -> float:
-    """Slope dK/dB [1/s] of the boundary at this virtual damping, over one step of the grid
-    (one-sided at its ends).
+    """Return the slope dK/dB [1/s] of the boundary at this virtual damping, over one step of the
+    grid (one-sided at its ends).
     """
     damping = found.axes[1]
     step = float(np.min(np.diff(damping)))
@@ -133,8 +134,8 @@ def stiffness_rate(
 
 
 def zero_mass_bandwidth_hz(frequency_hz: Floats, impedance_ns_per_m: Complexes) -> float:
-    """Frequency [Hz] where |Z| (F,), rendered with M = 0, has grown by sqrt(2) over its least
-    value; inf if it never does.
+    """Return the frequency [Hz] where |Z| (F,), rendered with M = 0, has grown by sqrt(2) from its
+    minimum; inf if it never does.
 
     For a mass m with damping b alone it is b / (2 pi m).
     """
@@ -160,7 +161,7 @@ def _plane(found: PassiveSet, mass_kg: float) -> int:
 
 
 def _highest(stiffness: Floats, margin: Floats) -> float:
-    """First crossing upwards from the lowest passive K >= 0; nan if none is passive."""
+    """Return the first crossing upwards from the lowest passive K >= 0; nan if none is passive."""
     start = np.flatnonzero((stiffness >= 0.0) & (margin >= 0.0))
     if not start.size:
         return float("nan")
@@ -177,29 +178,27 @@ def _highest(stiffness: Floats, margin: Floats) -> float:
 @dataclass(frozen=True, slots=True)
 class EnvelopeConditions:
     """Conditions under which an envelope was found. `device` and `mass_kg` may differ between
-    displays that are compared; all else must be alike.
+    compared displays; all others must be alike.
     """
 
     device: str  # name of the display
-    mass_kg: float  # all that moves at the port
+    mass_kg: float  # total moving mass at the port
     port: str = "probe"  # where force and velocity were measured
-    probe_mass_kg: float = 0.0  # of what was added to measure; 0 for none
+    probe_mass_kg: float = 0.0  # added to measure; 0 for none
     rate_hz: float = 1000.0  # of the servo
     filters_hz: tuple[float, float] = (100.0, 72.0)  # corners of velocity and acceleration
     band_hz: tuple[float, float] = (2.0, 500.0)  # judged band
     estimator: str = "spa"  # of Z: "spa" or "h_force"
-    grip: str = "free"  # what held the display, in words
+    grip: str = "free"  # how the display was held
     perturbation_psd_n2_per_hz: float = 0.0  # one-sided density of the perturbing force
-    judged_hz: tuple[float, float] = (2.0, 500.0)  # first and last frequency that was
+    judged_hz: tuple[float, float] = (2.0, 500.0)  # first and last judged frequency
     confidence: float = 0.95  # of the verdicts
     seconds: float = 90.0  # of a trial
     simulated: bool = True  # whether trials were simulated
 
 
 def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str, ...]:
-    """Names of the conditions that are not alike; those that are proportional to the mass are
-    compared per mass.
-    """
+    """Return the unlike conditions by name; those proportional to the mass compare per mass."""
     return tuple(
         item.name
         for item in fields(EnvelopeConditions)
@@ -210,11 +209,11 @@ def differences(one: EnvelopeConditions, other: EnvelopeConditions) -> tuple[str
 def check_alike(
     conditions: Sequence[EnvelopeConditions], allow: Collection[str] = ()
 ) -> tuple[str, ...]:
-    """Names of the conditions in which the others differ from the first. AnalysisError unless
-    `allow` names all of them.
+    """Return the names of the conditions in which the others differ from the first. AnalysisError
+    unless `allow` contains all of them.
 
-    Conditions that differ but agree per mass count as alike: displays of other masses at the same
-    probe, perturbed alike.
+    Conditions that differ but agree per mass count as alike, as for displays of other masses at the
+    same probe under the same perturbation.
     """
     first = conditions[0]
     unlike = list[str]()
@@ -235,7 +234,9 @@ def check_alike(
 
 
 def normalised(found: Envelope, mass_kg: float) -> Envelope:
-    """`found` per kilogram of moving mass: Z/m [1/s], or Y m [s]. AnalysisError without a mass."""
+    """Return `found` per kilogram of moving mass: Z/m [1/s], or Y m [s]. AnalysisError without a
+    mass.
+    """
     if not mass_kg > 0.0:
         raise AnalysisError(
             f"mass {mass_kg} kg: the mass that moves at the port must be positive to divide by it"

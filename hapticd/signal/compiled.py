@@ -1,8 +1,8 @@
-"""The loops of `kernels` in numba. Imported by `kernels` alone, only if numba is installed.
+"""The loops of `kernels` in numba. Only `kernels` imports it, and only if numba is installed.
 
-Spectral sums are one pass each, without temporaries. All loops release the interpreter lock, so
-trials may run on threads. Sums are reassociated for vector registers: results agree with numpy's
-to rounding, not to the bit.
+Spectral sums take one pass each, without temporaries. All loops release the interpreter lock, so
+trials may run on threads. Sums are reassociated for vector registers: results agree with numpy's to
+rounding, not bit for bit.
 
 `local_fits` solves normal equations from moments that neighbouring frequencies share. Every column
 of a fit is a power of r times one of the sequences V, 1 and, with k = 0 .. K, G_k = bin F(bin + k
@@ -11,14 +11,14 @@ servo), so all its products are moments
     m_p(a, b) = sum r^p conj(a) b
 
 with p = 0 .. 4 between V and 1, 0 .. 2 between one of them and a G, 0 between two G. Windows
-overlap six times. Between two neighbouring ends of windows all bins belong to the same ones: the
-moments of such a block are summed once, about its own middle, and moved to the place of each
-window by the binomial theorem; |r| <= 1 keeps their digits.
+overlap six times. Between two neighbouring ends of windows all bins belong to the same windows. The
+moments of such a block are summed once, about its own middle, and moved to the place of each window
+by the binomial theorem; |r| <= 1 preserves their digits.
 
-The equations are solved by Cholesky's factor R of the columns with the force behind them. With q0
-as the last column its variance per unit of noise is 1 / R[q,q]^2, and the last pivot is the force
-that is not explained: y^2 less what is, known to 1e-15 of y^2. Where that is too little, as without
-friction and noise, what is left is summed bin by bin.
+The equations are solved by Cholesky's factor R of the columns, with the force last. With q0 as the
+last column its variance per unit of noise is 1 / R[q,q]^2. The last pivot is the unexplained force,
+y^2 minus the explained part, known to 1e-15 of y^2. Where that is not accurate enough, as without
+friction and noise, the residual is summed bin by bin.
 """
 
 from functools import lru_cache
@@ -31,7 +31,7 @@ import numpy as np
 from hapticd.core.arrays import Integers
 from hapticd.signal.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
-# what LLVM may do to a sum; NaN and infinity keep their meaning
+# LLVM optimisations allowed in sums; NaN and infinity keep their meaning
 _SUMS = {"contract", "reassoc", "nsz"}
 # sequences of a fit; those of the images follow
 _V = 0
@@ -40,7 +40,7 @@ _FORCE = 2
 _ONES = 2  # the pair of 1 with itself
 _POWERS = 2 * ORDER + 1
 _BINOMIAL = np.array([[comb(p, i) for i in range(_POWERS)] for p in range(_POWERS)], np.float64)
-_CANCELLED = 1e-9  # of the force, below which what is left of it is summed
+_CANCELLED = 1e-9  # share of the force below which the residual is summed directly
 
 
 @numba.njit(fastmath=_SUMS, nogil=True, cache=True)
@@ -109,8 +109,8 @@ def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
 
 @lru_cache
 def _pairs(sequences: int) -> tuple[Integers, Integers]:
-    """Pairs (n, 2) of sequences that are multiplied: V and 1 with each other first, then one of
-    them with a G, then two G; and how many of the pairs need the power p, (5,).
+    """Return pairs (n, 2) of sequences to multiply: V and 1 with each other first, then one of them
+    with a G, then two G. Also return how many of the pairs need the power p, (5,).
     """
     plain = [(_V, _V), (_V, _ONE), (_ONE, _ONE)]
     mixed = list(product((_V, _ONE), range(_FORCE, sequences)))
@@ -130,8 +130,8 @@ def _columns(images: int) -> Integers:
     return np.array([*shifted, *slopes, *ends, (_V, 0), (_FORCE, 0)])
 
 
-# All that `_fits` calls is inlined into it: functions of their own would exist twice, compiled
-# alone and within `_fits`, and a process that compiles would run the one, a process that loads the
+# All functions that `_fits` calls are inlined into it. Otherwise they would exist twice, compiled
+# alone and within `_fits`. A process that compiles would run the one and a process that loads the
 # cache the other, with sums in another order.
 @numba.njit(nogil=True, cache=True)
 def _fits(  # type: ignore[no-untyped-def]
@@ -139,7 +139,7 @@ def _fits(  # type: ignore[no-untyped-def]
     pairs, high, columns, places, borders, begin, end,
     z, variance, power, ends,
 ):  # fmt: skip
-    """Fit about all places; bins `borders[begin]` .. `borders[end]` - 1 are those about a place."""
+    """Fit about all places. Place i uses the bins `borders[begin[i]]` .. `borders[end[i]]` - 1."""
     rows = np.empty((_FORCE + 1 + shifts.size, 2, 2 * half + 1))
     work = np.empty((3, 2 * half + 1))
     blocks = np.zeros((borders.size, _POWERS, len(pairs)), np.complex128)
@@ -230,7 +230,7 @@ def _multiply(a, b, work, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, forceinline=True)
 def _total(work, count):  # type: ignore[no-untyped-def]
-    """Return the sum of `work`, which is then multiplied by r for the next power."""
+    """Return the sum of `work`, and multiply it by r for the next power."""
     real = 0.0
     imag = 0.0
     for i in range(count):
@@ -282,9 +282,9 @@ def _normal(moments, pairs, columns):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, forceinline=True)
 def _solved(products):  # type: ignore[no-untyped-def]
-    """Coefficients of all columns in the last one, all of size 1, and what they leave of it.
+    """Return the coefficients of all columns in the last one, all of size 1, and its residual.
 
-    Cholesky's factor R takes the place of the upper half of `products`, R^H R.
+    Cholesky's factor R replaces the upper half of `products`, R^H R.
     """
     n = len(products) - 1
     for j in range(n + 1):
@@ -309,7 +309,7 @@ def _solved(products):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, forceinline=True)
 def _left(rows, columns, found, place, count, half):  # type: ignore[no-untyped-def]
-    """What is left of the force, summed over its bins; `place` is the bin of r = 0."""
+    """Return the sum of squares of the residual force over its bins; r = 0 at bin `place`."""
     total = 0.0
     for i in range(count):
         away = (i - place) / half

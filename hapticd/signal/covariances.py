@@ -2,20 +2,21 @@
 
 Sections (Rader 1970, "An improved algorithm for high speed autocorrelation"). The record is cut
 into sections of M samples, each padded with zeros to 2 M and transformed once. Lags 0..M of section
-i with the record that follows it need sections i and i + 1 only, and a shift of section i + 1 by M
+i with the following record need only sections i and i + 1, and a shift of section i + 1 by M
 samples is a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1}) over all sections and
-one inverse transform at the end give the exact biased covariances: memory O(M), any length, fed in
-pieces of any size. That is about 43 Mflop for 360,000 samples, against 1.5 Gflop directly.
+one inverse transform at the end give the exact biased covariances. The method needs memory O(M) and
+takes a record of any length in pieces of any size. It takes about 43 Mflop for 360,000 samples;
+direct sums take 1.5 Gflop.
 
 Trends. The paper (Weir, Colgate and Peshkin 2008, section 2.2) detrends the whole record before
 `spa`. With t = k - (N - 1)/2 the least-squares line is mean + slope t, slope = sum(t x) / (N (N^2 -
-1) / 12): two passes, no equations to solve. A stream cannot go back to its beginning. It sums raw
-products and takes the lines out of the covariances afterwards (`line_products`): the products of a
-signal with a line need only the totals sum(x) and sum(k x) and the first and last M samples.
+1) / 12): two passes, no equations to solve. A stream cannot be read twice. It sums raw products and
+removes the lines from the covariances afterwards (`line_products`). The products of a signal with a
+line need only the totals sum(x) and sum(k x) and the first and last M samples.
 
 The lag must not change while sums are kept. Blocks of unequal length in the two channels are
-refused. Limitations: in a stream, an offset some 10^6 times the motion, which leaves nothing of
-sixteen digits.
+refused. Limitations: in a stream, an offset about 10^6 times the motion leaves no significant
+digits.
 """
 
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ TOGETHER = 32_768  # samples transformed together: their spectra stay in the sec
 
 
 def detrended(signal: Floats) -> Floats:
-    """`signal` (N,) float64 without its least-squares line, in a new array. MATLAB's
+    """Return `signal` (N,) float64 without its least-squares line, in a new array, as MATLAB's
     `detrend(x, 1)`.
     """
     out = np.empty(signal.size)
@@ -42,10 +43,9 @@ def detrended(signal: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Moments:
-    """What is kept of a signal to take its line out later.
+    """Summary of a signal from which its trend can be removed later.
 
-    Of one signal, or of many of one length: then `total` and `moment` are (n,), `head` and `tail`
-    (n, samples).
+    For many signals of one length, `total` and `moment` are (n,), `head` and `tail` (n, samples).
     """
 
     length: int  # samples N
@@ -55,14 +55,14 @@ class Moments:
     tail: Floats  # last samples
 
     def extended(self, block: Floats, keep: int) -> "Moments":
-        """Return the moments with `block` appended; `keep` samples are remembered at each end."""
+        """Return the moments with `block` appended; `keep` samples are kept at each end."""
         k = np.arange(self.length, self.length + block.size, dtype=np.float64)
         missing = max(0, keep - self.head.size)
         return Moments(
             self.length + block.size,
             self.total + block.sum(),
             self.moment
-            + (k * block).sum(),  # a BLAS product has other last bits on another number of cores
+            + (k * block).sum(),  # the last bits of a BLAS product depend on the number of cores
             np.concatenate((self.head, block[:missing])),
             np.concatenate((self.tail, block))[-keep:],
         )
@@ -110,14 +110,15 @@ NO_SAMPLES = Moments(0, np.zeros(()), np.zeros(()), np.empty(0), np.empty(0))
 
 
 def line_products(late: Moments, early: Moments, lag: int) -> Floats:
-    """What the lines of both signals add to (1/N) sum late_{k+t} early_k, for t = 0..lag, (lag +
-    1,) or (n, lag + 1): subtract it from the raw covariance.
+    """Return the contribution of the lines of both signals to (1/N) sum late_{k+t} early_k, for t =
+    0..lag, (lag + 1,) or (n, lag + 1). Subtract it from the raw covariance.
 
     With the lines p + q k of `late` and r + s k of `early`, it is the sum over k < N - t of
 
         (p + q (k + t)) early_k + late_{k+t} (r + s k) - (p + q (k + t)) (r + s k)
 
-    a cubic in t, less what the last t samples of `early` and the first t of `late` would add.
+    a cubic in t, minus the contributions of the last t samples of `early` and the first t of
+    `late`.
     """
     n = early.length
     p, q = late.line
@@ -133,7 +134,7 @@ def line_products(late: Moments, early: Moments, lag: int) -> Floats:
 
 
 def _of_whole_lines(late: Moments, early: Moments, lag: int) -> Floats:
-    """The cubic of `line_products`: as if no sample of either signal were left out."""
+    """Return the cubic of `line_products`, as if no sample of either signal were left out."""
     p, q = late.line
     r, s = early.line
     late_total = late.total[..., None]
@@ -186,8 +187,8 @@ class Covariances:
 
 
 class Sections:
-    """Spectral sums over a record that arrives in blocks. `covariances()` may be called at any
-    time and changes nothing.
+    """Spectral sums over a record that arrives in blocks. `covariances()` may be called at any time
+    and does not change them.
     """
 
     def __init__(self, lag: int) -> None:
@@ -195,11 +196,11 @@ class Sections:
         self.n_samples = 0
         self._together = max(1, TOGETHER // lag)
         self._sums = np.zeros((4, lag + 1), np.complex128)
-        self._waiting = np.zeros((2, 0))  # less than a section of velocity and force
+        self._waiting = np.zeros((2, 0))  # an incomplete section of velocity and force
         self._padded = np.zeros((self._together, 2 * lag))
         self._spectra = np.zeros(
             (2, self._together + 1, lag + 1), np.complex128
-        )  # row 0: of the section before, zero at first
+        )  # row 0: the section before, initially zero
 
     def add(self, force: Floats, velocity: Floats) -> None:
         """Append samples, both (n,) float64. AnalysisError for unequal lengths."""
@@ -214,8 +215,8 @@ class Sections:
         self._waiting = np.concatenate((self._waiting, (velocity[stop:], force[stop:])), axis=1)
 
     def covariances(self) -> Covariances:
-        """Covariances of all samples so far as they are, without taking a trend out.
-        AnalysisError without samples.
+        """Return the covariances of all samples so far, with their trends. AnalysisError without
+        samples.
         """
         if not self.n_samples:
             raise AnalysisError("no samples: nothing to correlate; feed a record first")
@@ -228,11 +229,11 @@ class Sections:
         return Covariances(lags[0], lags[1], lags[2], lags[3], self.n_samples)
 
     def _fill_up(self, force: Floats, velocity: Floats) -> int:
-        """Complete the section that waits, and return how many samples of the block that took."""
+        """Complete the pending section, and return the number of samples taken from the block."""
         held = self._waiting.shape[1]
         missing = self.lag - held if held else 0
         if force.size < missing:
-            return 0  # all of it waits
+            return 0  # the whole block is pending
         if held:
             section = np.concatenate((self._waiting, (velocity[:missing], force[:missing])), axis=1)
             self._take([section[:1], section[1:]])

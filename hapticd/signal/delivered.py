@@ -1,38 +1,40 @@
-"""How much active damping a board delivers, from sums of products of what it measures.
+"""How much active damping a board delivers, from sums of products of its measurements.
 
-The damping circuit drives the current of the motor. With F_r the commanded force as it arrives at
-the circuit (late, and smoothed where the device smooths), and v^ the velocity that the circuit
-makes of the back-EMF,
+The damping circuit drives the current of the motor. F_r is the commanded force as it arrives at the
+circuit (late, and smoothed if the device smooths). v^ is the velocity that the circuit derives from
+the back-EMF:
 
     F_a = F_r - b v^            F_a = current x force per ampere
-    v^  = v + rho F_a           rho: what the resistance compensation leaves of the winding
+    v^  = v + rho F_a           rho: resistance of the winding left by the compensation
     F_a = alpha (F_r - b v),    alpha = 1 / (1 + b rho)
 
-so a winding hotter than its compensation weakens damping and force alike (Weir, Colgate and Peshkin
-2008, section 5), and the back-EMF alone cannot show it: v^ and F_a agree. What is delivered is the
-slope of F_a on the true velocity at equal F_r. It is found as a product,
+A winding hotter than its compensation therefore weakens damping and force alike (Weir, Colgate and
+Peshkin 2008, section 5). The back-EMF alone cannot show this, because v^ and F_a agree. The
+delivered damping is the slope of F_a on the true velocity at equal F_r. It is estimated as a
+product,
 
     b      from  F_a = a F_r - b v^          sample by sample: all three are latched together
     p      from  v^  = p v + q F_r - p tau v'    v by the encoder, means over 8 periods
     delivered = b p
 
-The first holds to a few counts of the current even in a limit cycle, where everything has one
-frequency; the second says how much of the velocity the circuit sees. Without back-EMF the slope is
-found in one step from the encoder, and without current from the voltage, V = R i + K_m v, where the
-device file knows R. `basis` says which it was.
+The first fit is accurate to a few counts of the current even in a limit cycle, where all signals
+have one frequency. The second measures the share of the velocity that the circuit sees. Without
+back-EMF the slope comes in one step from the encoder. Without current it comes from the voltage, V
+= R i + K_m v, if the device file gives R. `basis` names the route.
 
-Means over 8 periods: the encoder's difference is the exact mean velocity, Simpson's rule gives the
-other means (error (2 pi f T)^4 / 180). Whatever the motion does not tell is bounded by what is
-known beforehand: a is 1 +- 0.5, b q 0 +- 0.15, tau 0.15 +- 0.15 ms and the amplifier's lag 0.05 +-
-0.05 ms, each as one standard deviation; and 0.5 % of the variation of what is fitted is error of
-the equations, which no number of samples averages. The interval is Student's (95 %) of the
-estimates without each block in turn (jackknife: Quenouille 1956, Tukey 1958), widened by those
-bounds, by what the encoder's counts take from a slope, and by 3 % for the calibration of current
-and force. An interval wider than +- 25 % of what is commanded is `unknown`: the handle rests, or
-force and velocity cannot be told apart.
+Means over 8 periods: the encoder's difference is the exact mean velocity, and Simpson's rule gives
+the other means (error (2 pi f T)^4 / 180). Prior knowledge bounds what the motion does not
+determine: a is 1 +- 0.5, b q 0 +- 0.15, tau 0.15 +- 0.15 ms and the amplifier's lag 0.05 +- 0.05
+ms, each as one standard deviation. The equations have an error of 0.5 % of the variation of the
+fitted signal, which no number of samples averages.
 
-Limitations: a damping circuit much slower than 0.3 ms, a scale of current or position that is wrong
-(it is wrong by as much), sums over more than one level of damping.
+The interval is Student's (95 %) of the estimates without each block in turn (jackknife: Quenouille
+1956, Tukey 1958). It is widened by those bounds, by the attenuation of a slope by the encoder's
+counts, and by 3 % for the calibration of current and force. An interval wider than +- 25 % of the
+commanded active damping gives `unknown`: the handle rests, or force and velocity are collinear.
+
+Limitations: a damping circuit much slower than 0.3 ms; a wrong scale of current or position (an
+equal error in the result); sums over more than one level of damping.
 """
 
 from collections.abc import Sequence
@@ -70,16 +72,16 @@ WINDOW = 8  # periods over which means are taken
 SIMPSON = np.array([1.0, 4.0, 2.0, 4.0, 2.0, 4.0, 2.0, 4.0, 1.0]) / 24.0
 STUDENT = (2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131)  # 97.5 %, LEAST to 16
 CALIBRATION = 0.03  # of the scales of current and force
-RESISTANCE = 0.05  # of what the device file says of it
-WIDEST = 0.25  # of what is commanded: an interval of +- more says nothing
-WIDEST_NS_PER_M = 0.1  # the same where little is commanded
-LEAST_NS_PER_M = 1.0  # for which allowances are made, where less is commanded
+RESISTANCE = 0.05  # relative uncertainty of the device file's resistance
+WIDEST = 0.25  # of the command: a wider interval is `unknown`
+WIDEST_NS_PER_M = 0.1  # the same at low commanded active damping
+LEAST_NS_PER_M = 1.0  # minimum damping for which allowances are made
 MOST_ATTENUATED = 0.1  # share of counting noise in a velocity
-LAG_S = 1.5e-4  # of the circuit, and how far it may be from that
+LAG_S = 1.5e-4  # of the circuit, and its uncertainty
 AMPLIFIER_S = 5e-5  # the same of the amplifier
-GAIN = 0.5  # how far the amplifier's gain may be from 1
-RESIDUAL = 0.15  # what the residual resistance may take of the damping
-MODEL = 0.005  # of the target's variation: what the equations leave out, however long it is seen
+GAIN = 0.5  # uncertainty of the amplifier's gain about 1
+RESIDUAL = 0.15  # share of the damping that residual resistance may remove
+MODEL = 0.005  # of the target's variation: error of the equations
 
 # columns of the sums of products: of samples, and of means over WINDOW periods
 COLUMNS = 8
@@ -99,7 +101,7 @@ TOO_WIDE = "unknown: force and velocity cannot be told apart by this motion"
 
 
 class Estimate(NamedTuple):
-    """What is delivered; None where it is unknown, and then `basis` says why."""
+    """The delivered damping; None if unknown, with the reason in `basis`."""
 
     estimate_ns_per_m: float | None
     low: float | None
@@ -107,7 +109,7 @@ class Estimate(NamedTuple):
     commanded: float
     ratio: float | None
     basis: str
-    seconds: float  # of motion that it rests on
+    seconds: float  # of motion used
 
 
 class Block(NamedTuple):
@@ -124,17 +126,17 @@ class Slope(NamedTuple):
     """Delivered damping by one route."""
 
     values: Floats  # N s/m (1 + blocks,): by all blocks, then without each in turn
-    deviation: float  # N s/m of the first, by what is known beforehand
+    deviation: float  # N s/m of the first, from prior knowledge
     allowance: float  # N s/m of calibration
-    attenuation: float  # share of it that counting noise may take away
+    attenuation: float  # share of it that counting noise may remove
     basis: str
 
 
 def estimate(
     blocks: Sequence[Block], servo: ServoParams, commanded: float, winding_c: float
 ) -> Estimate:
-    """What `blocks` (LEAST to 16 that tell something) say is delivered, with `commanded` [N s/m] in
-    force and the winding at `winding_c` [degC, NaN: not known].
+    """Estimate the delivered damping from `blocks` (LEAST to 16 with motion), with `commanded` [N
+    s/m] in effect and the winding at `winding_c` [degC, NaN: not known].
     """
     nothing = NOTHING._replace(commanded=commanded)
     telling = [block for block in blocks if block.coarse[ONE, ONE]]
@@ -160,7 +162,7 @@ def estimate(
 
 
 def _half_width(slope: Slope) -> float:
-    """Of the interval [N s/m]: 95 %, and what is not by chance."""
+    """Return the half-width of the interval [N s/m]: 95 %, plus systematic errors."""
     without = slope.values[1:]
     count = len(without)
     by_chance = sqrt((count - 1) * float(np.var(without)))
@@ -169,7 +171,7 @@ def _half_width(slope: Slope) -> float:
 
 
 def _with_and_without(sums: list[Floats]) -> Floats:
-    """All together, and without each in turn (1 + blocks, columns, columns)."""
+    """Return the sum of all, and the sums without each in turn (1 + blocks, columns, columns)."""
     each = np.array(sums)
     whole = each.sum(axis=0)
     return np.concatenate((whole[None], whole - each))
@@ -178,7 +180,7 @@ def _with_and_without(sums: list[Floats]) -> Floats:
 def _slope(
     fine: Floats, coarse: Floats, servo: ServoParams, scale_ns_per_m: float, winding_c: float
 ) -> Slope | str:
-    """The route that the board's signals allow; why none does."""
+    """Return the slope by the route that the board's signals allow, or the reason why none does."""
     device = servo.device
     current_n = device.motor_n_per_a * device.current.per_count
     counted_m_per_s = device.position.per_count * servo.realtime.rate_hz / WINDOW
@@ -270,7 +272,7 @@ def _by_voltage(
 
 
 class Known(NamedTuple):
-    """A column of a fit, and what is known of its coefficient beforehand."""
+    """A column of a fit, and the prior knowledge of its coefficient."""
 
     column: int
     mean: float = 0.0
@@ -282,18 +284,18 @@ class Fit(NamedTuple):
 
     values: Floats  # (1 + blocks,)
     deviation: float
-    information: float  # squares of its column that the others do not explain
+    information: float  # sum of squares of its column that the others do not explain
     rows: float
 
     def attenuated(self, noise: float) -> float:
-        """Share of the slope that noise of variance `noise` in its column takes away."""
+        """Share of the slope removed by noise of variance `noise` in its column."""
         return self.rows * noise / self.information if self.information > 0.0 else inf
 
 
 def fit(sums: Floats, target: int, known: tuple[Known, ...], quantum: float) -> Fit:
     """Least squares of column `target` on those of `known`, for each of `sums` (n, columns,
-    columns), with what is known beforehand as further observations of the residual's weight; that
-    is at least counting noise, `quantum`.
+    columns). Prior knowledge enters as further observations with the residual's weight, which is at
+    least counting noise, `quantum`.
     """
     columns = [one.column for one in known]
     normal = sums[:, columns][:, :, columns]

@@ -1,14 +1,13 @@
-"""The Z-width as the paper draws it: at every frequency the largest and the smallest passive |Z|,
-and of the phase.
+"""The Z-width as the paper draws it: at every frequency the largest and smallest passive |Z| and
+phase.
 
 "The Z-width envelope is iteratively updated as successive trials are performed" (Weir, Colgate and
-Peshkin 2008, section 2). Every point remembers the trial that set it and how well that trial knew
-it, so a bump can be asked where it comes from. Trials that are not passive do not widen it. The
-uncertainty is that of the owner alone: the largest of many noisy values lies above the true maximum
-by about one of its standard deviations; confirm an owner with a second trial before quoting it.
+Peshkin 2008, section 2). Every point keeps the trial that set it and the uncertainty of that trial,
+so each feature can be traced to a trial. Trials that are not passive do not widen the envelope. The
+uncertainty is that of the owner alone. The largest of many noisy values exceeds the true maximum by
+about one of its standard deviations, so confirm an owner with a second trial before quoting it.
 
-The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the
-phase.
+The envelope of the admittance has maximum and minimum exchanged: 1/|Z|, minus the phase.
 
 Trials on other frequencies, at another port or with another estimator are refused.
 """
@@ -40,7 +39,7 @@ class Edge:
 class Envelope:
     """Upper and lower edges of |Z| or |Y| over `frequency_hz` (F,), and of their phase.
 
-    `trials` are the names that owners point to, in the order of adding.
+    `trials` are the names of the trials in the order of adding; owners are indices into them.
     """
 
     frequency_hz: Floats
@@ -58,13 +57,13 @@ class Envelope:
         return np.asarray(20.0 * np.log10(self.upper.value / self.lower.value))
 
     def owner(self, edge: Edge) -> list[str]:
-        """Names of the trials that own the points of `edge`."""
+        """Return the names of the trials that own the points of `edge`."""
         return [self.trials[index] for index in edge.owner]
 
 
 def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
-    """Whether a trial passes: as judged, or by the paper's rule. That rule accepts
-    neither one that is unstable nor one that lost an edge of its band.
+    """Whether a trial is accepted: as judged, or by the paper's rule. That rule rejects an unstable
+    trial and one that lost an edge of its band.
     """
     if accept == "judged":
         return verdict.answer == "passive"
@@ -74,8 +73,8 @@ def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
 def of_one(
     name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str
 ) -> Envelope:
-    """Envelope of one Z (F,) [N s/m] at `frequency_hz` (F,), with the standard deviation (F,) of
-    ln|Z|, which is that of the phase in radians as well.
+    """Return the envelope of one Z (F,) [N s/m] at `frequency_hz` (F,). `relative_sd` (F,) is the
+    standard deviation of ln|Z| and of the phase in radians.
     """
     owner = np.zeros(frequency_hz.size, np.int64)
     size = Edge(np.abs(z), relative_sd, owner)
@@ -84,7 +83,9 @@ def of_one(
 
 
 def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
-    """Envelope of predicted Z (N, F) [N s/m], without uncertainty; owners are places (N,)."""
+    """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners: indices
+    (N,).
+    """
     size = np.abs(z)
     angle = np.degrees(np.angle(z))
     none = np.zeros(frequency_hz.size)
@@ -101,7 +102,7 @@ def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
 
 
 def merged(found: Envelope, new: Envelope) -> Envelope:
-    """The envelope of the trials of both. AnalysisError if frequencies, ports or estimators
+    """Return the envelope of the trials of both. AnalysisError if frequencies, ports or estimators
     differ.
     """
     if found.kind != "impedance":
@@ -122,7 +123,7 @@ def merged(found: Envelope, new: Envelope) -> Envelope:
 
 
 def admittance(found: Envelope) -> Envelope:
-    """The envelope of Y = 1/Z; of an admittance envelope, that of Z."""
+    """Return the envelope of Y = 1/Z; for an admittance envelope, that of Z."""
     kind = "admittance" if found.kind == "impedance" else "impedance"
     turned = [replace(edge, value=1.0 / edge.value) for edge in (found.lower, found.upper)]
     phases = [replace(edge, value=-edge.value) for edge in (found.phase_lower, found.phase_upper)]

@@ -1,70 +1,69 @@
-"""What is wrong with a record, or remarkable in it: found in its samples and spectra, and named.
+"""Defects and anomalies of a record, found in its samples and spectra.
 
 In the samples (`examine`):
 
-    saturation      a channel stays at its end value: given limits, or a flat top that no noise has
-    escape          the velocity of some second is several times that of the calm ones, under a
-                    force that did not grow as much, and it grew faster than noise makes a ring
-                    grow: the loop ran away
+    saturation      a channel stays at its end value: a given limit, or a flat top that noise cannot
+                    make
+    escape          in some second the velocity is several times that of the calm ones, the force
+                    did not grow as much, and the growth is faster than a noise-driven resonance
+                    allows: the loop ran away
     swells          the same without that growth: a resonance that rings for long, or a loop that
-                    runs away so slowly that only its record tells them apart
+                    runs away so slowly that only the record distinguishes them
     drift           offset or trend of the velocity, or a level that changes between the halves of
                     the record
-    dropout         seconds without a perturbation, or with a velocity that stands still: silence
-                    is no knowledge
+    dropout         seconds without a perturbation, or with a constant velocity: silence is not
+                    evidence
 
-In what the perturbation does not explain (`coherence_findings`):
+In the motion that the perturbation does not explain (`coherence_findings`):
 
     low_coherence   the perturbation explains less than half of the motion over part of the band, or
                     at its lower edge
     oscillation     a narrow line carries much of the velocity and the perturbation does not explain
                     it: a limit cycle
-    line            the same with little of it: a limit cycle or hum
-    unresolved      much of it in a line that is narrower than the window, which the perturbation
-                    may explain
+    line            the same with little of the velocity: a limit cycle or hum
+    unresolved      much of the velocity is in a line narrower than the window, which the
+                    perturbation may explain
 
-Noise drives the amplitude of a resonance as a random walk, so over n seconds it changes by about
-the square root of n times what it changes in one, whatever its size. Where the ring is as long as
-the record the calm seconds are those before it rang, and the loud ones prove nothing. What runs
-away gains in proportion to its size (`outgrows_walk`).
+Noise drives the amplitude of a resonance as a random walk. Over n seconds it changes by about the
+square root of n times its change in one second, whatever its size. If the ring is as long as the
+record, the calm seconds precede it and the loud ones prove nothing. A runaway gains in proportion
+to its size (`outgrows_walk`).
 
 Lines below the first twelve frequencies of a window are found in the record (`resolved`).
 
-The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is
-anybody's 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a
-resonance that is narrower than itself incoherent: a coherence of 0.2 is no proof of a limit cycle.
-What goes on by itself has none but that of chance, 2/nu. In between the record decides
-(`resolved`), and without one nothing is decided.
+The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is close
+to 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a resonance
+narrower than itself incoherent, so a coherence of 0.2 does not prove a limit cycle. A
+self-sustained oscillation has only the coherence of chance, 2/nu. In between, the record decides
+(`resolved`); without a record the question stays open.
 
-In what the window and the ends of the record do (`leakage_findings`): "spa" reads |Z| low where the
-velocity has little power, below the resonance of a lightly damped spring. There the spring lets
-through v ~ f / K, so the velocity's spectrum is steep, and small beside that of the resonance. Two
-things fill it up, and Z = Phi_yu / Phi_u shrinks as they do:
+From the window and the ends of the record (`leakage_findings`): "spa" reads |Z| low where the
+velocity has little power, below the resonance of a lightly damped spring. There the spring passes v
+~ f / K, so the velocity's spectrum is steep and small compared with that of the resonance. Two
+effects add power to it, and Z = Phi_yu / Phi_u shrinks:
 
     window          covariances at lag t are multiplied by W(t): the spectrum is smoothed, and |Z|
                     of a spring shrinks by s^2 / (f^2 + s^2), 5 % at 3 Hz for M = 2048
     record          those of a record of N samples are multiplied by 1 - |t|/N as well: a sharp
                     resonance leaks down to the band edge, whatever the window
 
-What they did once is seen by doing it once more (twicing, Tukey 1977), which is a product with the
-covariances. The phase is pulled towards 0 as well, and can hide a little activity. A longer window
-cures the first, a longer record the second, whole periods (`periodic`) both; "h_force" leaves Phi_u
-out, which is what is filled up.
+Applying both once more shows their effect (twicing, Tukey 1977); this is a product with the
+covariances. The phase is pulled towards 0 as well, which can hide a little activity. A longer
+window cures the first, a longer record the second, whole periods (`periodic`) both. "h_force" does
+not use Phi_u, the affected spectrum.
 
-The energy (`energy`) is the definition of passivity itself: E(t), the integral of F v, is never
-less than minus what the device held at the start. With interval means of both channels sum(F_k v_k)
-T is the exact work of a force held over each interval; no trend is removed, because the energy of a
-trial is that of its true force and velocity. Starting at rest a passive device keeps E >= 0. A
-trial whose noise drives mostly frequencies where the device dissipates stays far above 0 although
-the device is active at others: the spectral verdict is the sharper statement, this the
-unconditional one.
+The energy (`energy`) is the definition of passivity: E(t), the integral of F v, is never less than
+minus the energy stored at the start. With interval means of both channels, sum(F_k v_k) T is the
+exact work of a force held over each interval. No trend is removed, because the energy of a trial is
+that of its true force and velocity. A passive device that starts at rest keeps E >= 0. If the noise
+drives mostly frequencies where the device dissipates, E stays far above 0 although the device is
+active at others: the spectral verdict is the sharper statement, this one the unconditional one.
 
-Skew, high-pass and units of the channels are in `channels`. Thresholds are those at which a 90 s
-trial of noise alone never raised them (tests).
+Skew, high-pass and units of the channels are in `channels`. The thresholds are those that a 90 s
+trial of noise alone never exceeded (tests).
 
-Limitations: a limit cycle that the perturbation drives in part, where there is no record; or
-spectra that are not on the window's own grid, which do not hold the covariances (then nothing is
-said of leakage).
+Limitations: a limit cycle that the perturbation drives in part, without a record. Spectra off the
+window's own grid do not contain the covariances, so they give no leakage finding.
 """
 
 from collections.abc import Iterator
@@ -91,22 +90,22 @@ __all__ = [
 ]
 
 FLAT_SHARE = 1e-4  # of all samples, at the end value
-FLAT_BELOW = 0.02  # of the end value: so far below it others are counted
+FLAT_BELOW = 0.02  # of the end value: range below it in which other values are counted
 ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all
-# of a walk's usual step times the root of the number of steps; rings of 0.5 to 60 s reached 7.6 in
-# 360 trials of 90 s, loops that doubled three times in theirs 10 and more
+# of a walk's usual step times the root of the number of steps. Rings of 0.5 to 60 s reached 7.6 in
+# 360 trials of 90 s; loops that doubled three times in a trial reached 10 and more.
 WALK = 9.0
 USUAL_STEP = 0.6745  # of a standard deviation: the median of a normal value's size
-SILENT = 0.1  # of the upper quartile of a second's rms: there the force is none
+SILENT = 0.1  # of the upper quartile of the rms per second: below it the force counts as absent
 DRIFT_SHARE = 0.5  # of the standard deviation
 LEVEL_RATIO = 1.25  # of the force's rms between the halves; the velocity may change twice as much
 LOW_COHERENCE = 0.5  # less than half of the motion is explained
 LINE_WIDTH = 6  # neighbouring values that make a line
 LINE_SHARE = 0.3  # of the velocity's power, unexplained, in a line
-SMALL_LINE = 0.02  # the same, from which it is mentioned
-LINE_HEIGHT = 5.0  # of a line over what is beside it
-CHANCE = 3.0  # times the coherence that chance gives on average: below, a line has none
-LOW_SHARE = 0.05  # of |Z|, from which it is named
+SMALL_LINE = 0.02  # the same, from which it is reported
+LINE_HEIGHT = 5.0  # of a line relative to its surroundings
+CHANCE = 3.0  # times the mean coherence of chance: a line below it has none
+LOW_SHARE = 0.05  # of |Z|, from which it is reported
 CERTAINTY = 3.0  # standard deviations of |Z|
 SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
 
@@ -115,13 +114,13 @@ SWELLS = "the velocity swells and fades 4 times and more, as the perturbation dr
 class Energy:
     """Energy that flowed into the device during a record."""
 
-    minimum_j: float  # least value of the integral, 0 at the start included
-    minimum_s: float  # when that was
+    minimum_j: float  # minimum of the integral, 0 at the start included
+    minimum_s: float  # time of the minimum
     end_j: float  # at the end of the record
 
 
 def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
-    """Energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
+    """Return the energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
     flowed = np.concatenate(([0.0], np.cumsum(force_n * velocity_m_per_s) / rate_hz))
     lowest = int(np.argmin(flowed))
     return Energy(float(flowed[lowest]), lowest / rate_hz, float(flowed[-1]))
@@ -129,17 +128,17 @@ def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is wrong with a record, or remarkable in it."""
+    """A defect or anomaly of a record."""
 
     code: str  # for programs
     message: str  # for people, with value and remedy
-    voids: bool = False  # leaves nothing to decide
-    unstable: bool = False  # says that the loop is not stable
+    voids: bool = False  # makes a verdict impossible
+    unstable: bool = False  # shows that the loop is not stable
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What the samples say before any spectrum is computed."""
+    """Summary of the samples, before any spectrum is computed."""
 
     seconds: float  # length of the record
     energy: Energy
@@ -154,8 +153,8 @@ def examine(
     force_limit_n: float | None = None,
     velocity_limit_m_per_s: float | None = None,
 ) -> Record:
-    """Look at the samples of a trial, force and velocity (N,) float64 at `rate_hz`. The limits are
-    those of the measuring channels, if they are known.
+    """Examine the samples of a trial, force and velocity (N,) float64 at `rate_hz`. The limits are
+    those of the measuring channels, if known.
 
     AnalysisError for unequal lengths or less than two seconds.
     """
@@ -248,9 +247,9 @@ def _dropout(what: str, where: Flags) -> Iterator[Finding]:
 def escape_findings(
     rms: Floats, window_s: float, pushed: Floats | None = None
 ) -> tuple[Finding, ...]:
-    """Find an escape, or what may be one, in the rms velocity of windows of about a second (n,),
-    and in that of the force (n,) where it may change: a stronger force moves a stable device as
-    much faster.
+    """Detect an escape, or a possible one, in the rms velocity (n,) of windows of about a second.
+    Pass the rms force (n,) where it may change: a stronger force moves a stable device
+    proportionally faster.
     """
     calm = _lower_quartile(rms)
     usual = 0.0 if pushed is None else _lower_quartile(pushed)
@@ -318,10 +317,10 @@ class UnexplainedLine:
 def coherence_findings(
     trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
 ) -> tuple[Finding, ...]:
-    """Name low coherence, by share and range, and a line that the perturbation does not explain.
+    """Report low coherence, by share and range, and a line that the perturbation does not explain.
 
-    `band_hz` is looked at, and what is estimated together with its lower edge: a resolution below
-    it, where the window still says something.
+    The search covers `band_hz` and one resolution below its lower edge, down to the lowest
+    frequency of the window.
     """
     low_hz = min(band_hz[0], max(trial.lowest_hz, band_hz[0] - trial.bandwidth_hz))
     inside = (trial.frequency_hz >= low_hz) & (trial.frequency_hz <= band_hz[1])
@@ -344,7 +343,7 @@ def _incoherent(frequency_hz: Floats, coherence: Floats, estimator: Estimator) -
 
 
 def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
-    """Say what "spa" makes of noise in the velocity."""
+    """Describe how "spa" reads |Z| with noise in the velocity."""
     worst = int(np.argmin(coherence))
     return (
         f"; |Z| by spa reads low there by the coherence, at {frequency_hz[worst]:.3g} Hz to"
@@ -354,7 +353,7 @@ def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
 
 
 def line_of(trial: Spectra) -> UnexplainedLine | None:
-    """The strongest line that is not explained, if it carries enough power to be mentioned."""
+    """Return the strongest unexplained line, if it carries enough power to report."""
     if trial.frequency_hz.size <= 4 * LINE_WIDTH:
         return None
     unexplained = trial.velocity * (1.0 - trial.coherence)
@@ -389,8 +388,8 @@ def _line(trial: Spectra) -> Iterator[Finding]:
 
 
 def line_finding(frequency_hz: float, share: float) -> Finding:
-    """A line with a `share` of the velocity's power, of which the perturbation explains nothing: an
-    oscillation if that is much.
+    """Return the finding for a line with a `share` of the velocity's power and no coherence: an
+    oscillation if the share is large.
     """
     where = _where(frequency_hz, share)
     if share <= LINE_SHARE:
@@ -412,8 +411,8 @@ def _where(frequency_hz: float, share: float) -> str:
 
 
 def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
-    """What window and ends of the record did to Z: the complex factor (F,) by which applying
-    them once more changes it; 1 where it is unknown.
+    """Return the effect of window and record ends on Z: the complex factor (F,) by which applying
+    them once more changes it; 1 where unknown.
     """
     if trial.frequency_hz.size != trial.lag + 1 or trial.exact:
         return np.ones(trial.frequency_hz.size, np.complex128)
@@ -437,10 +436,10 @@ def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:
 def leakage_findings(
     trial: Spectra, band_hz: tuple[float, float], estimator: Estimator = "spa"
 ) -> tuple[Finding, ...]:
-    """Name |Z| that is read low inside `band_hz` by more than a twentieth and more than chance
-    does, with the range of frequencies.
+    """Report |Z| that is read low inside `band_hz` by more than a twentieth and more than chance
+    explains, with the range of frequencies.
 
-    Where there is little coherence, that is what is named (`coherence_findings`).
+    Frequencies of low coherence are left to `coherence_findings`.
     """
     inside = (trial.frequency_hz >= band_hz[0]) & (trial.frequency_hz <= band_hz[1])
     factor = shrinkage(trial, estimator)[inside]

@@ -1,4 +1,4 @@
-"""From spectra to the impedance, its uncertainty and what it does not explain.
+"""From spectra to the impedance, its uncertainty and its unexplained part.
 
     "spa"       Z = Phi_yu / Phi_u: velocity as the input, the paper's choice
     "h_force"   Z = Phi_y / conj(Phi_yu): force as the input
@@ -10,8 +10,8 @@
     Var Phi_v = (C/N) Phi_v^2                     twice that at 0 and half the sample rate
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4.) With a noisy velocity "spa" shrinks |Z|
-by g2; its phase stays. The force is exogenous and almost without noise, so "h_force" has no such
-bias: use it where |Z| counts and g2 is low.
+by g2 and preserves its phase. The force is exogenous and almost without noise, so "h_force" has no
+such bias: use it where |Z| matters and g2 is low.
 """
 
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class Impedance:
     impedance_ns_per_m: Complexes  # (F,) complex128
     sd_ns_per_m: Floats  # (F,) standard deviation of the complex value
     coherence: Floats  # (F,) g2, 0 to 1
-    # (F,) spectrum of the output that the input does not explain: N^2 with "spa", else (m/s)^2
+    # (F,) spectrum of the output that the input does not explain: N^2 ("spa") or (m/s)^2
     noise: Floats
     noise_sd: Floats  # (F,) standard deviation of `noise`
     estimator: Estimator
@@ -54,8 +54,8 @@ class Impedance:
         return relative_sd(self.coherence, self.degrees_of_freedom)
 
     def without_mass(self, mass_kg: float, port: str = "device") -> "Impedance":
-        """The impedance behind a rigid mass at the port, Z - j 2 pi f m. The real part, and with
-        it the verdict, stays as it is.
+        """Return the impedance behind a rigid mass at the port, Z - j 2 pi f m. The real part, and
+        so the verdict, does not change.
         """
         behind = self.impedance_ns_per_m - 2j * np.pi * self.frequency_hz * mass_kg
         return replace(self, impedance_ns_per_m=behind, port=port)
@@ -70,15 +70,15 @@ def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
 
 
 def reads_high(frequency_hz: float, rate_hz: float) -> float:
-    """Share by which the recorded channels read Re Z of a rigid device high: force held and
-    velocity averaged over 1/rate make it 1 / sinc^2(f / rate). 0.2 % at 100 Hz of 4 kHz, 5.3 % at
-    500 Hz. Of other devices `loop` predicts it.
+    """Return the share by which the recorded channels read Re Z of a rigid device high. Force held
+    and velocity averaged over 1/rate make it 1 / sinc^2(f / rate): 0.2 % at 100 Hz of 4 kHz, 5.3 %
+    at 500 Hz. `loop` predicts it for other devices.
     """
     return float(1.0 / np.sinc(frequency_hz / rate_hz) ** 2) - 1.0
 
 
 def spread_of(size: Floats, relative: Floats) -> Floats:
-    """Return `size` times its relative spread (F,); inf where nothing is known, whatever the
+    """Return `size` times its relative spread (F,); inf where the spread is infinite, whatever the
     size.
     """
     return np.asarray(

@@ -1,8 +1,8 @@
 """The inner loops over records in numpy, and the choice between them and the compiled ones.
 
-`kernels()` gives the loops of `compiled` where numba is installed and those below otherwise. Both
-sets take the same arguments and give the same numbers to rounding; these are what the compiled ones
-are checked against. Nothing else in `analysis` needs a compiler.
+`kernels()` returns the loops of `compiled` if numba is installed, otherwise those below. Both sets
+take the same arguments and agree to rounding; tests compare the compiled ones with these. No other
+module of the package needs a compiler.
 
     fitted_line, take_line_out    the linear trend of a signal (`covariances`)
     accumulate                    spectral sums of neighbouring sections (`covariances`)
@@ -13,12 +13,12 @@ solves
 
     x F = (q0 + q1 r + q2 r^2) V + (j0 + j1 r + j2 r^2) + sum_k g_k x F(bin + k servo)
 
-by least squares over the bins p - half .. p + half, as far as there are such: Z is q0. It does so
-by einsum, not by BLAS, whose threads wait for each other where every core has a trial of its own,
-and whose last bits depend on the number of cores.
+by least squares over those of the bins p - half .. p + half that exist: Z is q0. It uses einsum,
+not BLAS. BLAS threads wait for each other where every core has a trial of its own, and the last
+bits of BLAS depend on the number of cores.
 
-Limitations: columns that are the same to rounding, as where all of a motion is in one bin; `RIDGE`
-then leaves numbers, of which the variance says that nothing is known.
+Limitations: columns that are equal to rounding, as where all motion is in one bin. `RIDGE` then
+yields numbers with a variance that marks them as unknown.
 """
 
 import sys
@@ -34,8 +34,8 @@ ORDER = 2  # of both polynomials
 TERMS = ORDER + 1
 TOGETHER = 16  # frequencies at once: 1 MB
 TINY = float(np.finfo(np.float64).tiny) ** 0.5
-RIDGE = 1e-14  # of a column's power: a channel without power leaves numbers
-_BLOCK = 16_384  # samples at once: their places 0, 1, 2 .. stay in the cache
+RIDGE = 1e-14  # of a column's power: keeps a channel without power finite
+_BLOCK = 16_384  # samples at once: their indices stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Transforms:
-    """Transforms of a whole record, and what a fit takes of them."""
+    """Transforms of a whole record, and the settings of a fit."""
 
     force: Complexes  # (samples/2 + 1,) N
     velocity: Complexes  # (samples/2 + 1,) m/s
@@ -69,7 +69,7 @@ class Transforms:
 
 
 def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
-    """Fill `fit` about the bins `places` (F,), which ascend from 1."""
+    """Fill `fit` about the ascending bins `places` (F,), from 1."""
     for first in range(0, places.size, TOGETHER):
         some = slice(first, first + TOGETHER)
         _fit(whole, places[some], fit.part(some))
@@ -104,8 +104,8 @@ def _images(whole: Transforms, at: Integers) -> Complexes:
 
 
 def _least_squares(columns: Complexes, y: Complexes, count: Integers, fit: Fit) -> None:
-    """Fit `y` (F, n) by `columns` (F, c, n), those of Q first, then those of J; `count` (F,)
-    bins are there.
+    """Fit `columns` (F, c, n), those of Q first, then those of J, to `y` (F, n); `count` (F,) bins
+    exist.
     """
     conjugate = columns.conj()
     normal = np.einsum("fcn,fdn->fcd", conjugate, columns)
@@ -118,7 +118,7 @@ def _least_squares(columns: Complexes, y: Complexes, count: Integers, fit: Fit) 
     ends = np.einsum("fc,fcn->fn", found[:, TERMS : 2 * TERMS], columns[:, TERMS : 2 * TERMS])
     freedom = np.maximum(count - columns.shape[1], 1)
     fit.z[:] = found[:, 0]
-    with np.errstate(over="ignore"):  # no power: nothing is known
+    with np.errstate(over="ignore"):  # no power: z is unknown
         fit.variance[:] = left / freedom * inverse[:, 0, 0].real / size[:, 0] ** 2
     fit.ends[:] = _power(ends) / np.maximum(_power(y), TINY)
 
@@ -130,7 +130,7 @@ def _power(values: Complexes) -> Floats:
 
 @cache
 def kernels() -> ModuleType:
-    """The module of the compiled loops, or this one where numba is not installed."""
+    """Return the module of the compiled loops, or this one if numba is not installed."""
     try:
         from hapticd.signal import compiled
     except ImportError:
@@ -139,8 +139,8 @@ def kernels() -> ModuleType:
 
 
 def fitted_line(signal: Floats) -> tuple[float, float]:
-    """Value at the first sample and slope per sample of the least-squares line through `signal`
-    (N,), N >= 2.
+    """Return value at the first sample and slope per sample of the least-squares line through
+    `signal` (N,), N >= 2.
     """
     n = signal.size
     middle = 0.5 * (n - 1)
@@ -156,8 +156,8 @@ def fitted_line(signal: Floats) -> tuple[float, float]:
 
 
 def take_line_out(signal: Floats, value: float, slope: float, out: Floats) -> None:
-    """`out` = `signal` (n,) minus the line with `value` at the first sample and `slope` per
-    sample.
+    """Write `signal` (n,) minus the line with `value` at the first sample and `slope` per sample to
+    `out`.
     """
     np.subtract(signal, value + slope * np.arange(signal.size), out=out)
 

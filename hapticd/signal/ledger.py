@@ -1,19 +1,19 @@
 """The energy ledger: the work that each cause does on the device, tick by tick.
 
-Positive is work done on the device, everywhere. The law's force L_k belongs to the sample x_k; it
-takes effect d_k periods later and is then held until the next one takes effect. Of the motion only
-the samples are known, between them it is straight. An ideal element would act at once and without
-steps. Its work from sample to sample, (L_{k-1} + L_k) / 2 (x_k - x_{k-1}), exact for a spring, is
-what `stiffness`, `damping`, `mass` and `fields` mean. With p = -K x the spring's force,
+Work done on the device is positive. The law's force L_k belongs to the sample x_k. It takes effect
+d_k periods later and is then held until the next one takes effect. The motion is known at the
+samples and taken as straight between them. An ideal element would act at once and without steps.
+Its work from sample to sample, (L_{k-1} + L_k) / 2 (x_k - x_{k-1}), is exact for a spring and
+defines `stiffness`, `damping`, `mass` and `fields`. With p = -K x the spring's force,
 
     stiffness   (p_k x_k - p_{k-1} x_{k-1}) / 2          = - change of the energy K x^2 / 2 stored
-    ramp        (p_{k-1} x_k - p_k x_{k-1}) / 2          = energy that a change of K brings in; the
-                same for virtual mass, walls and ends, and for a wall that is moved
-    damping, mass, fields    as above, less what is `ramp`
+    ramp        (p_{k-1} x_k - p_k x_{k-1}) / 2          = energy added by a change of K; the same
+                for virtual mass, walls and ends, and for a wall that is moved
+    damping, mass, fields    as above, without `ramp`
 
-What the steps and their delay add follows by summation by parts. A step dL_k = L_k - L_{k-1} would
-have come gradually, between the samples k-1 and k; it comes when the device has gone on: half a
-sample, and then for the d_k periods until it takes effect.
+Summation by parts gives the work of the steps and their delay. An ideal step dL_k = L_k - L_{k-1}
+would come gradually, between the samples k-1 and k. The real one comes late by half a sample, and
+then by the d_k periods until it takes effect.
 
     hold_delay  - dL_k (x_k - x_{k-1}) / 2               for the hold, in the tick in which it is
                                                          computed
@@ -21,26 +21,26 @@ sample, and then for the d_k periods until it takes effect.
 
 For a spring this is K (T/2 + d T) int v^2 dt to the first order (Colgate and Schenkel 1997), and
 more exact at every frequency. It is booked while it happens, so sums are right at every sample.
-After a gap of n periods the step has been waiting (n - 1) / 2 periods longer; that is
+After a gap of n periods the step has been delayed (n - 1) / 2 periods longer:
 
     gap         - dL_k (x_k - x_{k-1}) (1 - 1/n) / 2
 
-The force that is sent differs from the law's by what was clamped and by rounding to counts; each
-difference is a force of its own that is held and comes late:
+The sent force differs from the law's by the clamp and by rounding to counts. Each difference is a
+force of its own that is held and comes late:
 
     clamp         work of clamped - L        quantisation   work of sent - clamped
     electrical    - b (x_k - x_{k-1})^2 / T of the active damping in effect, as the board reports
-                  it: a lower bound of what is dissipated (`electrical_commanded`: as sent; beside
+                  it: a lower bound of the dissipation (`electrical_commanded`: as sent; not part of
                   the sum)
-    lag           (smoothed devices) - (1/w) dF v: work of the motor less that of the held force,
+    lag           (smoothed devices) - (1/w) dF v: work of the motor minus that of the held force,
                   for a motor force F that follows with a first-order corner w
 
-The whole is computed from other numbers: the force in effect at each sample and since when, as the
-board reports both. `unexplained` is the whole less all causes, itself no cause: a frame that never
-arrived, a delay that was not what was believed, several forces between two samples.
+The whole is computed independently, from the board's reports of the force in effect at each sample
+and of its age. `unexplained` is the whole minus all causes: a frame that never arrived, a wrong
+assumed delay, several forces between two samples.
 
-Rows must be consecutive unless `periods` says otherwise, and SAMPLE must have all parts of a force.
-Limitations: a delay beyond LONGEST periods (it becomes `unexplained`).
+Rows must be consecutive unless `periods` states otherwise, and SAMPLE must have all parts of a
+force. Limitations: a delay beyond LONGEST periods (it becomes `unexplained`).
 """
 
 from math import exp
@@ -59,11 +59,11 @@ SAMPLE = np.dtype(
         ("stiffness_n", "f8"),  # parts of the law's force
         ("virtual_damping_n", "f8"),
         ("mass_n", "f8"),
-        ("field_n", "f8"),  # walls, ends, and any push that is not of the law
+        ("field_n", "f8"),  # walls, ends, and any force outside the law
         ("clamped_n", "f8"),  # their sum inside the limit
         ("sent_n", "f8"),
         ("delay", "f8"),  # periods from its sample to its effect, of the force in effect now
-        ("periods", "f8"),  # since the sample before; 0: nothing is known of the motion before
+        ("periods", "f8"),  # since the sample before; 0: the motion before is unknown
         ("in_effect_n", "f8"),  # as the board reports at this sample
         ("since", "f8"),  # periods that this force had been in effect, at this sample
         ("active_damping_ns_per_m", "f8"),  # active damping in effect, as the board reports
@@ -91,7 +91,7 @@ CAUSES = (
 BOOKED = np.dtype(
     [(name, "f8") for name in (*CAUSES, "unexplained", "whole", "electrical_commanded")]
 )
-LONGEST = 8  # periods on its way that a force is followed
+LONGEST = 8  # periods for which a pending force is followed
 Table = npt.NDArray[np.void]
 
 
@@ -102,8 +102,8 @@ def book(
     smoothing_hz: float = 0.0,
     motor_n: float = 0.0,
 ) -> tuple[Table, Floats]:
-    """Work [J] between each of `samples` (n,) of SAMPLE and the one before, as BOOKED (n,), and the
-    force [N] of a smoothed motor at each (n,). The first row is 0.
+    """Return the work [J] between each of `samples` (n,) of SAMPLE and the one before, as BOOKED
+    (n,), and the force [N] of a smoothed motor at each (n,). The first row is 0.
 
     `ends_m`: where the springs at the ends of the workspace begin. `smoothing_hz`: corner of the
     device's force, 0 for none; `motor_n`: its force at the first sample.
@@ -111,7 +111,7 @@ def book(
     way = _difference(samples["position_m"])
     way[samples["periods"] == 0.0] = 0.0
     periods = np.where(samples["periods"] > 0.0, samples["periods"], 1.0)
-    whole_periods = np.maximum(np.rint(periods), 1.0)  # jitter of a clock is no gap
+    whole_periods = np.maximum(np.rint(periods), 1.0)  # clock jitter is not a gap
     lead = _ways_before_effect(samples["delay"], periods, way)
     found = np.zeros(len(samples), BOOKED)
     _book_ideal(found, samples, way, periods, period_s, ends_m)
@@ -146,7 +146,7 @@ def _book_ideal(
     period_s: float,
     ends_m: tuple[float, float],
 ) -> None:
-    """The ideal elements, and what changes of their settings bring in."""
+    """Book the ideal elements, and the energy added by changes of their settings."""
     moving = samples["periods"] > 0.0
     x = samples["position_m"]
     spring = samples["stiffness_n"]
@@ -181,8 +181,8 @@ def _stored_in_fields(samples: Table, x: Floats, ends_m: tuple[float, float]) ->
 
 
 def _ways_before_effect(delay: Floats, periods: Floats, way: Floats) -> list[Floats]:
-    """Of each interval's way the part that was gone before the force of q + 1 samples ago took
-    effect, for q = 0, 1, ..., as far as any is on its way.
+    """Return the part of each interval's way before the force of q + 1 samples ago took effect, for
+    q = 0, 1, ..., as long as a force is pending.
     """
     time = np.cumsum(periods)
     found = []
@@ -196,12 +196,12 @@ def _ways_before_effect(delay: Floats, periods: Floats, way: Floats) -> list[Flo
 
 
 def _late(step: Floats, lead: list[Floats]) -> Floats:
-    """Work that steps of a force would have done in each interval while they were on their way."""
+    """Return the work in each interval that steps of a force would have done while pending."""
     return np.asarray(sum(_shifted(step, q + 1) * gone for q, gone in enumerate(lead)))
 
 
 def _held(force: Floats, way: Floats, lead: list[Floats]) -> Floats:
-    """Work in each interval of a force that belongs to the samples, is held and comes late."""
+    """Return the work in each interval of a force that is held and comes late."""
     return np.asarray(_before(force) * way - _late(_difference(force), lead))
 
 
@@ -215,9 +215,9 @@ def _reported(samples: Table, way: Floats, periods: Floats) -> Floats:
 def smoothed(
     samples: Table, lasting_s: Floats, period_s: float, w: float, motor_n: float
 ) -> tuple[Floats, Floats]:
-    """Force [N] of the motor at each of `samples` (n,), and its mean since the one before: the
-    force in effect behind a first-order low-pass of corner `w` [rad/s]. Each sample came
-    `lasting_s` (n,) after the one before; `motor_n` is the force at the first.
+    """Return the force [N] of the motor at each of `samples` (n,), and its mean since the one
+    before: the force in effect behind a first-order low-pass of corner `w` [rad/s]. Each sample
+    came `lasting_s` (n,) after the one before; `motor_n` is the force at the first.
     """
     after_s = np.minimum(samples["since"] * period_s, lasting_s)
     force = samples["in_effect_n"].tolist()
@@ -255,7 +255,7 @@ def _before(values: Floats) -> Floats:
 
 
 def _shifted(values: Floats, rows: int) -> Floats:
-    """Row k - rows at row k; the first row stands for those before it."""
+    """Return row k - rows at row k; rows before the first repeat it."""
     return np.asarray(values[_rows_before(len(values), rows)])
 
 

@@ -1,22 +1,19 @@
-"""One signal in another: where it is, by what fraction of a sample it comes later, and which parts
-of it fit.
+"""One signal in another: its position, its delay by a fraction of a sample, and the parts that fit.
 
 The fraction is where the correlation between the samples, the real part of sum R(w) F*(w) e^(-jwt),
-has its peak: bent as it is there, Newton's way leads to it (Knapp and Carter 1976, "The generalized
-correlation method for estimation of time delay", IEEE ASSP-24).
+has its peak; Newton's method finds it (Knapp and Carter 1976, "The generalized correlation method
+for estimation of time delay", IEEE ASSP-24).
 
-Limitations: a signal of one frequency, which fits itself a period later just as well.
+Limitations: a signal of one frequency, which matches itself a period later.
 
-To the sample: where a file lost some, between stretches of which it is known how far they are
-moved.
+Gaps to the sample. A stretch of the file is shifted by k samples. A loss of samples lowers k by
+their number (`alignment`). The levels considered are those of the two known stretches, and any k
+between them that 256 samples show. Each k ends at the sample that minimises the squares of the
+misfit before and after it, for all of them together, by dynamic programming. A stretch of fewer
+than 64 samples is chance and is dropped. Gaps 200 samples apart are resolved; below 120 they merge
+into one.
 
-A stretch of the file is moved by k samples; where some were lost k falls by as many (`alignment`).
-Between two stretches, and for any k between theirs that 256 samples show, each k ends at the sample
-at which the squares of what does not fit, with the k before it and the k after it, are least: of
-all of them together, by dynamic programming. A stretch of fewer than 64 samples is chance, and left
-out. Gaps 200 samples apart are told apart; below 120 they are taken for one.
-
-Limitations: noise beyond the size of the signal; the sample is then known to some dozens.
+Limitations: noise stronger than the signal; the sample is then known only to a few dozen.
 """
 
 from dataclasses import dataclass
@@ -27,21 +24,21 @@ from hapticd.core.arrays import Flags, Floats, Integers
 
 __all__ = ["Gap", "bisquare_fit", "fitting", "interpolated"]
 
-FLAT = 1e-6  # of the mean variance: less is a stretch in which nothing was measured
+FLAT = 1e-6  # of the mean variance: below it the stretch has no signal
 ROUNDS = 12  # of a fit with weights
 BISQUARE = 4.685
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once
 NEWTON = 5  # rounds
-BLOCK = 128  # samples that are compared
-LEAST_BLOCK = 0.25  # of a block has to be known to be compared
+BLOCK = 128  # samples per comparison
+LEAST_BLOCK = 0.25  # share of a block that must be known
 USUAL = 0.5  # of the usual coefficient: a block that fits less does not fit
 _TINY = float(np.finfo(np.float64).tiny)
 
 
 def coefficients(pattern: Floats, signal: Floats) -> Floats:
-    """Correlation coefficient of `pattern` (p,) with `signal` (n,) from every row on, (n - p + 1,);
-    0 where the signal stands still.
+    """Return the correlation coefficient of `pattern` (p,) with `signal` (n,) from every row on, (n
+    - p + 1,); 0 where the signal is constant.
     """
     size = pattern.size
     count = signal.size - size + 1
@@ -61,7 +58,7 @@ def coefficients(pattern: Floats, signal: Floats) -> Floats:
 
 
 def fraction(own: Floats, other: Floats) -> float:
-    """By how many samples `other` (n,) comes later than `own` (n,), within -1 to 1."""
+    """Return by how many samples `other` (n,) lags `own` (n,), within -1 to 1."""
     window = np.hanning(own.size)
     cross = np.fft.rfft(window * own) * np.conj(np.fft.rfft(window * other))
     omega = 2.0 * np.pi * np.fft.rfftfreq(own.size)
@@ -79,7 +76,7 @@ def bisquare_fit(
     columns: Floats, values: Floats, least_scale: float
 ) -> tuple[Floats, Floats, Floats, float]:
     """Least squares of `values` (n,) on `columns` (n, c) with bisquare weights (Beaton and Tukey
-    1974): coefficients (c,), residuals and weights (n,), and their scale, which is at least
+    1974). Return coefficients (c,), residuals and weights (n,), and their scale, which is at least
     `least_scale`.
     """
     trust = np.ones(values.size)
@@ -93,8 +90,8 @@ def bisquare_fit(
 
 
 def interpolated(values: Floats, at: Floats) -> Floats:
-    """`values` (n,) between their samples, at the places `at` (m,): a sinc under a raised cosine
-    of 16 samples on either side.
+    """Interpolate `values` (n,) at the positions `at` (m,) with a sinc under a raised cosine of 16
+    samples on either side.
     """
     taps = np.arange(1 - TAPS, TAPS + 1)
     found = np.empty(at.size)
@@ -110,8 +107,8 @@ def interpolated(values: Floats, at: Floats) -> Floats:
 
 
 def fitting(own_n: Floats, other: Floats, known: Flags) -> Flags:
-    """Which samples of `other` (n,), of those `known`, lie in a block that fits `own_n` (n,) [N] at
-    least half as well as the usual one.
+    """Return which samples of `other` (n,), of those `known`, are in a block that fits `own_n` (n,)
+    [N] at least half as well as the usual block.
     """
     count = -(-own_n.size // BLOCK)
     padded = np.zeros((3, count * BLOCK))
@@ -128,28 +125,28 @@ def fitting(own_n: Floats, other: Floats, known: Flags) -> Flags:
     return np.asarray(known & np.repeat(fits, BLOCK)[: own_n.size])
 
 
-# --- what a file lost -----------------------------------------------------------------------------
+# --- gaps of a file -------------------------------------------------------------------------------
 
 
-INNER = 256  # samples, of a stretch that shows a k between two others
-SHORTEST = 64  # samples for which a k holds
+INNER = 256  # samples of a stretch that can show a k between two others
+SHORTEST = 64  # minimum samples for which a k holds
 LEAST_INNER = 0.4  # coefficient of such a stretch; chance reaches 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Samples that the file lost, or has too many of."""
+    """Samples that the file lost, or duplicated."""
 
     own_sample: int  # first sample of the own record after the last good row
-    lost: int  # samples; negative: rows that stand twice or belong nowhere
+    lost: int  # samples; negative: duplicated or foreign rows
     row: int  # of the file, the first after it
 
 
 def find_gaps(
     part: Floats, first: int, other: Floats, rows: Floats, levels: list[int]
 ) -> list[Gap]:
-    """The gaps between several k (`levels`, in their order) in own samples `part` (n,), from the
-    own sample `first` on. Their rows in `other` (m,) would be `rows` (n,) for k = 0.
+    """Return the gaps between several k (`levels`, in order) in own samples `part` (n,), from the
+    own sample `first` on. For k = 0 they are in `rows` (n,) of `other` (m,).
     """
     levels = _with_inner(part, other, rows, levels)
     wrong = _wrong(part, np.stack([interpolated(other, rows + level) for level in levels]))
@@ -164,8 +161,8 @@ def find_gaps(
 
 
 def _with_inner(part: Floats, other: Floats, rows: Floats, levels: list[int]) -> list[int]:
-    """`levels` with those between them that a stretch shorter than a piece has: two gaps close to
-    each other. `part` (n,): own samples, `rows` (n,): where they are for k = 0.
+    """Add to `levels` those between them that a stretch shorter than a piece has: two gaps close to
+    each other. `part` (n,): own samples, `rows` (n,): their rows for k = 0.
     """
     seen = set()
     for first in range(0, part.size - INNER + 1, INNER // 2):
@@ -183,15 +180,15 @@ def _with_inner(part: Floats, other: Floats, rows: Floats, levels: list[int]) ->
 
 
 def _wrong(part: Floats, heard: Floats) -> Floats:
-    """Squares (levels, n) of what of `part` (n,) does not fit what is heard (levels, n)."""
+    """Return the squares (levels, n) of the misfit of `part` (n,) to `heard` (levels, n)."""
     power = float(part @ part)
     gain = float((heard @ part).max()) / power if power > 0.0 else 1.0
     return np.asarray((gain * part - heard) ** 2)
 
 
 def _long(wrong: Floats, levels: list[int]) -> Flags:
-    """Which of several k, (levels,), hold for long enough to be one: chance brings in others. The
-    first and the last do.
+    """Return which of several k, (levels,), hold for long enough not to be chance; always the first
+    and the last.
     """
     lost = np.maximum(-np.diff(levels), 0)
     ends = np.array(_ends(wrong, lost))
@@ -201,9 +198,10 @@ def _long(wrong: Floats, levels: list[int]) -> Flags:
 
 
 def _ends(wrong: Floats, skipped: Integers) -> list[int]:
-    """Where each of several k (but the last) ends, so that the squares that do not fit are least.
+    """Return where each of several k (but the last) ends, so that the squares of the misfit are
+    minimal.
 
-    `wrong` (levels, n): squares by each k. `skipped` (levels - 1,): samples lost after each.
+    `wrong` (levels, n): squares for each k. `skipped` (levels - 1,): samples lost after each.
     """
     sums = np.cumsum(np.pad(wrong, ((0, 0), (1, 0))), axis=1)
     count = sums.shape[1]

@@ -1,19 +1,19 @@
 """The passive set in the space of K, B and M: its limits, its volume and its boundary.
 
-A headline such as "K up to 600 N/m" can mean two things, and they differ by a factor: the axis
-limit, the others being 0 while one is scanned from 0 to its first failure (`axis_limit`); or the
-maximum over the whole set (`set_limits`). Both are always given, side by side.
+A headline such as "K up to 600 N/m" can mean two things, which differ by a factor. The axis limit
+scans one parameter from 0 to its first failure with the others 0 (`axis_limit`). The set limit is
+the maximum over the whole set (`set_limits`). Both are always reported together.
 
-The volume is that of the grid's cells, a cell counting by the share of it where the margin, linear
+The volume is that of the grid's cells. Each cell counts by the share of it where the margin, linear
 between corners, is not negative.
 
-Where only yes and no are known, rays from inside the set find its boundary in the unit box
-(`boundary`, for the directed search). Their directions lie evenly on the sphere (Fibonacci spiral:
-Swinbank and Purser 2006); each ray is halved between its start, which is inside, and the end of the
-box.
+If only yes and no are known, rays from inside the set find its boundary in the unit box
+(`boundary`, for the directed search). Their directions are spread evenly on the sphere (Fibonacci
+spiral: Swinbank and Purser 2006). Each ray is bisected between its start, which is inside, and the
+end of the box.
 
-Limitations: a grid that does not reach beyond the set, for then limits are those of the grid, and
-`open_ends` says so; or a set that a ray leaves twice, of which one exit is found.
+Limitations: a grid that does not reach beyond the set, because its limits are then those of the
+grid (`open_ends` lists them); a set that a ray leaves twice, of which one exit is found.
 """
 
 from collections.abc import Callable
@@ -40,8 +40,8 @@ __all__ = [
 AXES = ("K", "B", "M")
 _SPLIT = 4  # parts of a cell's edge when its share is counted
 N_RAYS = 400  # of `boundary`
-N_SAMPLES = 3000  # random points that find the middle and the volume
-_HALVINGS = 12  # of a ray: to 1/4096 of it
+N_SAMPLES = 3000  # random points for the middle and the volume
+_HALVINGS = 12  # bisections of a ray: to 1/4096 of it
 _EDGE = 0.999  # of the way to the end of the box
 
 
@@ -49,17 +49,17 @@ _EDGE = 0.999  # of the way to the end of the box
 class Limits:
     """Smallest and largest passive values along each axis."""
 
-    stiffness: tuple[float, float]  # (least, most), N/m
-    virtual_damping: tuple[float, float]  # (least, most), N s/m
-    mass: tuple[float, float]  # (least, most), kg
+    stiffness: tuple[float, float]  # (minimum, maximum), N/m
+    virtual_damping: tuple[float, float]  # (minimum, maximum), N s/m
+    mass: tuple[float, float]  # (minimum, maximum), kg
 
 
 @dataclass(frozen=True, eq=False)
 class PassiveSet:
-    """Margins on a grid of environments; a negative one, or nan, is not passive."""
+    """Margins on a grid of environments; a negative margin or nan is not passive."""
 
     axes: tuple[Floats, Floats, Floats]  # ascending K N/m, B N s/m, M kg
-    margin: Floats  # (nK, nB, nM) least Re Z, N s/m
+    margin: Floats  # (nK, nB, nM) minimum Re Z, N s/m
 
     @property
     def passive(self) -> Flags:
@@ -70,8 +70,8 @@ class PassiveSet:
 def passive_set(
     axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike
 ) -> PassiveSet:
-    """The set from margins in the order of `grid`. AnalysisError unless the axes ascend and the
-    numbers fit.
+    """Return the set from margins in the order of `grid`. AnalysisError unless the axes ascend and
+    the sizes match.
     """
     lists = tuple(np.asarray(axis, np.float64) for axis in axes)
     shape = tuple(axis.size for axis in lists)
@@ -85,20 +85,20 @@ def passive_set(
 
 
 def ascending(axes: tuple[Floats, ...]) -> None:
-    """Raise AnalysisError unless each of `axes` has two values or more that ascend."""
+    """Raise AnalysisError unless each of `axes` has at least two ascending values."""
     if any(axis.ndim != 1 or axis.size < 2 or not np.all(np.diff(axis) > 0.0) for axis in axes):
         raise AnalysisError("a grid needs at least two ascending values on each of its three axes")
 
 
 def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:
-    """All environments (N, 3) of a grid, M changing fastest."""
+    """Return all environments (N, 3) of a grid, M changing fastest."""
     return np.stack(
         np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1
     ).reshape(-1, 3)
 
 
 def set_limits(found: PassiveSet) -> Limits:
-    """Extremes over the whole set. AnalysisError for an empty one."""
+    """Return the extremes over the whole set. AnalysisError for an empty one."""
     if not found.passive.any():
         raise AnalysisError("no environment of the grid is passive: there are no limits")
     kept = [
@@ -109,8 +109,8 @@ def set_limits(found: PassiveSet) -> Limits:
 
 
 def open_ends(found: PassiveSet) -> tuple[str, ...]:
-    """Ends of the grid that are passive, such as "K max": nothing was looked at beyond them. K =
-    0 is no such end, for K < 0 is active.
+    """Return the ends of the grid that are passive, such as "K max", where the set may extend
+    further. K = 0 is not included, because K < 0 is active.
     """
     ends = []
     for place, (name, axis) in enumerate(zip(AXES, found.axes, strict=True)):
@@ -123,7 +123,7 @@ def open_ends(found: PassiveSet) -> tuple[str, ...]:
 
 
 def volume(found: PassiveSet) -> float:
-    """Volume of the set [N/m N s/m kg]."""
+    """Return the volume of the set [N/m N s/m kg]."""
     cell = np.prod(np.meshgrid(*(np.diff(axis) for axis in found.axes), indexing="ij"), axis=0)
     return float((cell * _shares(found.margin)).sum())
 
@@ -135,11 +135,11 @@ def axis_limit(
     base: tuple[float, float, float] = (0.0, 0.0, 0.0),
     steps: int = 60,
 ) -> float:
-    """First failure from `base` on along `axis` (0 K, 1 B, 2 M) towards base + `reach`, refined to
-    reach / steps^3.
+    """Return the first failure from `base` along `axis` (0 K, 1 B, 2 M) towards base + `reach`,
+    refined to reach / steps^3.
 
     `decide` takes environments (N, 3) and returns (N,) whether each is passive. The limit is nan if
-    `base` itself fails, and base + reach if none does.
+    `base` itself fails, and base + reach if no environment fails.
     """
     low = 0.0
     high = 1.0
@@ -158,9 +158,9 @@ def axis_limit(
 
 
 def _shares(margin: Floats) -> Floats:
-    """Share (nK-1, nB-1, nM-1) of each cell where the trilinear margin is not negative.
+    """Return the share (nK-1, nB-1, nM-1) of each cell where the trilinear margin is not negative.
 
-    A corner that is nan, not passive without a number, counts as minus the median of all
+    A corner that is nan (not passive, without a number) counts as minus the median of all
     magnitudes.
     """
     known = np.abs(margin[np.isfinite(margin)])
@@ -179,7 +179,7 @@ def _between(values: Floats, axis: int, share: float) -> Floats:
 
 
 def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, Flags]:
-    """Where rays from `middle` (3,) leave the set `holds`: (N_RAYS, 3) in the unit box, and
+    """Return where rays from `middle` (3,) leave the set `holds`, (N_RAYS, 3) in the unit box, and
     which of them reach the end of the box inside the set.
     """
     rays = directions()
@@ -206,10 +206,10 @@ def directions() -> Floats:
 
 
 def samples() -> Floats:
-    """Random points (N_SAMPLES, 3) of the unit box, always the same."""
+    """Return random points (N_SAMPLES, 3) of the unit box, always the same."""
     return np.random.default_rng(1).random((N_SAMPLES, 3))
 
 
 def distance(one: Floats, other: Floats) -> Floats:
-    """Distance from each of `one` (N, 3) to the nearest of `other` (n, 3)."""
+    """Return the distance from each of `one` (N, 3) to the nearest of `other` (n, 3)."""
     return np.asarray(np.sqrt(((one[:, None] - other) ** 2).sum(axis=2)).min(axis=1))

@@ -1,6 +1,6 @@
-"""Z from a force that repeats: no window, no leakage, and an interval that holds with friction too.
+"""Z from a periodic force: no window, no leakage, and an interval that holds with friction too.
 
-Over a whole period of a settled motion the discrete Fourier transform sees every harmonic alone.
+Over a whole period of a settled motion the discrete Fourier transform separates every harmonic.
 With R realisations of the force (the same amplitudes, other random phases) and F_m, V_m their means
 over the periods:
 
@@ -11,15 +11,14 @@ over the periods:
     s^2 / R                                        variance of Y; exactly Student's t with 2 (R - 1)
                                                    degrees of freedom
 
-(Pintelon and Schoukens, System Identification, 2nd ed. 2012, sections 3.4 and 4.3.) What the device
-distorts repeats with the period: averaging periods removes noise and leaves it, and the scatter
-between periods does not show it. Only other phases do, so one realisation has an interval that
-covers noise alone, and decides nothing. Several are told by what they are: their mean spectra have
-the form of `spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), and `judge` takes
-them.
+(Pintelon and Schoukens, System Identification, 2nd ed. 2012, sections 3.4 and 4.3.) Distortion by
+the device repeats with the period. Averaging periods removes noise but not distortion, and the
+scatter between periods does not show it. Only other phases do, so the interval of one realisation
+covers noise alone and decides nothing. The mean spectra of several realisations have the form of
+`spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), so `judge` accepts them.
 
-Limitations: a motion that has not settled, samples that were lost (refused: the force does not
-repeat), or one realisation taken for the whole truth.
+Limitations: a motion that has not settled; lost samples (refused, because the force does not
+repeat); a single realisation.
 """
 
 from collections.abc import Iterator
@@ -37,18 +36,18 @@ from hapticd.signal.spectra import Spectra, grid_frequencies
 
 __all__ = ["CHANGING", "PeriodicSpectra", "changing", "periodic", "periodic_findings"]
 
-LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
+LEAST_POWER = 1e-9  # of the strongest harmonic's power: below it a harmonic is not excited
 CHANGING = (
-    0.03  # of the force's rms, what may not repeat: resolution and noise of the torque channel
+    0.03  # of the force's rms, part that may not repeat: resolution and noise of the torque channel
 )
-DISTORTED = 0.01  # scatter between realisations from which it is named
+DISTORTED = 0.01  # scatter between realisations from which distortion is reported
 UNKNOWN: Floats = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicSpectra(Spectra):
-    """Mean spectra over realisations on the harmonics k rate / period, k = 0..period/2; no power
-    where nothing was excited.
+    """Mean spectra over realisations on the harmonics k rate / period, k = 0..period/2; zero power
+    at harmonics without excitation.
     """
 
     realisations: int = 1  # of the force: other phases, same amplitudes
@@ -62,7 +61,7 @@ class PeriodicSpectra(Spectra):
     resolved: ClassVar[bool] = True
 
     def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
-        """Spectra at some of the harmonics, `which` (F,)."""
+        """Return spectra at some of the harmonics, `which` (F,)."""
         found = super().part(which)
         assert isinstance(found, PeriodicSpectra)
         between = (self.between_periods[which], self.between_realisations[which])
@@ -70,12 +69,12 @@ class PeriodicSpectra(Spectra):
 
     @property
     def variance_factor(self) -> float:
-        """Relative variance of a mean: one over the number of what was averaged."""
+        """Relative variance of a mean: one over the number of averages."""
         return 1.0 / (self.realisations if self.realisations > 1 else self.periods)
 
     @property
     def bandwidth_hz(self) -> float:
-        """One over the period: every harmonic stands alone."""
+        """One over the period, the spacing of the harmonics."""
         return 0.5 * self.rate_hz / self.lag
 
     @property
@@ -85,17 +84,17 @@ class PeriodicSpectra(Spectra):
 
     @property
     def smoothing_hz2(self) -> float:
-        """Zero: nothing is smoothed."""
+        """Zero: there is no smoothing."""
         return 0.0
 
     @property
     def span(self) -> str:
-        """What the values were taken over, in words."""
+        """Description of the interval of analysis."""
         return f"period of {2 * self.lag} samples"
 
     @property
     def covers(self) -> str:
-        """What the intervals cover, in words."""
+        """Description of the errors that the intervals cover."""
         if self.realisations > 1:
             return (
                 "noise and nonlinear distortion at this perturbation, from the scatter of"
@@ -107,8 +106,8 @@ class PeriodicSpectra(Spectra):
         )
 
     def scatter(self, band_hz: tuple[float, float]) -> tuple[float, float]:
-        """Medians over a band of the relative scatter between periods and between realisations;
-        nan where it is not known.
+        """Return medians over a band of the relative scatter between periods and between
+        realisations; nan where unknown.
         """
         inside = (self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1])
         return float(np.median(self.between_periods[inside])), float(
@@ -119,7 +118,8 @@ class PeriodicSpectra(Spectra):
 def periodic(
     force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, rate_hz: float
 ) -> PeriodicSpectra:
-    """Mean spectra of settled periods, force and velocity (realisations, periods, samples) float64.
+    """Return mean spectra of settled periods, force and velocity (realisations, periods, samples)
+    float64.
 
     AnalysisError for other shapes, odd periods, values that are not finite, or a force that does
     not repeat.
@@ -176,8 +176,8 @@ def _spectra(f: Complexes, v: Complexes, rate_hz: float, samples: int) -> Period
 
 
 def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> Iterator[Finding]:
-    """Say that one realisation decides nothing, and name distortion above a hundredth with what
-    helps against it.
+    """Report a single realisation, which decides nothing, and distortion above a hundredth with its
+    remedy.
     """
     if trial.realisations == 1:
         yield Finding(
@@ -213,8 +213,8 @@ def _power(harmonics: Complexes) -> Floats:
 
 
 def _scatter(values: Complexes, axis: int) -> Floats:
-    """Variance along `axis` over the square of the mean; nan for a single value, or none but
-    zeros.
+    """Return the variance along `axis` over the square of the mean; nan for a single value or a
+    mean of 0.
     """
     count = values.shape[axis]
     mean = values.mean(axis=axis, keepdims=True)
@@ -225,8 +225,8 @@ def _scatter(values: Complexes, axis: int) -> Floats:
 
 
 def changing(force_n: Floats) -> float:
-    """What does not repeat in a force (realisations, periods, samples), over what does, both as
-    rms; inf for no force at all.
+    """Return the rms of the part of a force (realisations, periods, samples) that does not repeat
+    over that of the part that does; inf for zero force.
     """
     force = _harmonics(force_n)
     mean = force.mean(axis=1, keepdims=True)

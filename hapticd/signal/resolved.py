@@ -1,57 +1,57 @@
 """Z where the motion is narrower than the window: local polynomials on the record's frequencies.
 
-A resonance of a fraction of a hertz is averaged by the window with what is beside it, and leaks
-from there all over the band: what the perturbation explains looks unexplained, |Z| reads low and
-the phase is pulled. The whole record resolves 1/(N T), 0.011 Hz for 90 s. With its transforms F of
-the force and V of the velocity, a linear device answers
+The window averages a resonance of a fraction of a hertz with its surroundings and leaks it over the
+whole band. The explained motion then looks unexplained, |Z| reads low and the phase is pulled
+towards 0. The whole record resolves 1/(N T), 0.011 Hz for 90 s. With its transforms F of the force
+and V of the velocity, a linear device obeys
 
     f F(f) = Q(f) V(f) + J(f) + f sum_k G_k(f) F(f + k f_s),     Q = f Z
 
-exactly. J holds what the motion before the first and after the last sample does, the record's own
-leakage; G_k what the force does at images of f, for the law samples at f_s. However sharply the
-velocity rises in a resonance, Z is smooth there, and Q of mass, damper and spring a polynomial of
-second order. So about each frequency Q and J are parabolas and G_k constants, by least squares over
+exactly. J is the effect of the motion before the first and after the last sample, the record's own
+leakage. G_k is the effect of the force at images of f, because the law samples at f_s. However
+sharply the velocity rises in a resonance, Z is smooth there, and Q of mass, damper and spring is a
+polynomial of second order. So about each frequency Q and J are parabolas and G_k constants, fitted
+by least squares over
 
     3 / (M T), 5.9 Hz for the paper's window
 
-where Q varies by chance as much as what the window gives, and with its degrees of freedom:
-Var = s^2 [(A^H A)^-1]. What is left of the force, s^2, is what the perturbation does not explain at
-the resolution of the record: nothing for a resonance, however narrow; most of it for a limit cycle,
-whose power is in V and not in Q V. (Local polynomials: Pintelon, Schoukens, Vandersteen and Barbe
-2010, "Estimation of nonparametric noise and FRF models for multivariable systems", MSSP 24.)
+where the random error of Q equals that of the window, with its degrees of freedom: Var = s^2 [(A^H
+A)^-1]. The residual s^2 of the force is the part that the perturbation does not explain at the
+resolution of the record. It is zero for a resonance, however narrow. It is most of the force for a
+limit cycle, whose power is in V and not in Q V. (Local polynomials: Pintelon, Schoukens,
+Vandersteen and Barbe 2010, "Estimation of nonparametric noise and FRF models for multivariable
+systems", MSSP 24.)
 
-A parabola is not Q: the filters and the delay of the law bend it by more, most where the fit ends
-with the record's frequencies, and a light part that resonates by itself bends it within the fit's
-width. The fit is therefore made once more over half of the width, where the error is an eighth at
-the ends of a parabola and less between them. What the two differ by, times `BIAS`, is part of the
-interval.
+Q is not exactly a parabola. The filters and the delay of the law bend it further, most at the ends
+of the record's frequencies, and a light part with a resonance of its own bends it within the width
+of the fit. The fit is therefore repeated over half of the width, where the error is an eighth at
+the ends of a parabola and less between them. The difference of the two, times `BIAS`, is part of
+the interval.
 
-Lines at low frequencies. A window of M samples shows a line by what is beside it, and beside its
-first twelve frequencies, 2 to 11.7 Hz for the paper's, there is not enough. A limit cycle or a hum
-there is told from a resonance by the whole record, which resolves 1/(N T): with its transforms F of
-the force and V of the velocity
+Lines at low frequencies. A window of M samples reveals a line by comparison with its neighbours.
+Its first twelve frequencies, 2 to 11.7 Hz for the paper's, have too few. There the whole record,
+which resolves 1/(N T), separates a limit cycle or hum from a resonance:
 
     f F(f) = Q(f) V(f) + J(f) + E(f),     Q = f Z
 
-as above; here Q and J are polynomials over all of these frequencies: of mass, damper and spring
-Q is one of second order, however sharply the velocity rises in their resonance. E is what the
-perturbation does not explain, and E / Q that as velocity: nothing in a resonance, a narrow line in
-a limit cycle, broad where friction or noise is.
+as above, except that Q and J are polynomials over all of these frequencies. Q of mass, damper and
+spring is of second order, however sharply the velocity rises in their resonance. E is the
+unexplained force, and E / Q the unexplained velocity: zero in a resonance, a narrow line in a limit
+cycle, broad with friction or noise.
 
-Least squares would fit Q to the line, which is in V: a strong one draws Q to 0 and hides itself. So
-the equations are taken not with V but with what the force alone would move, f F / Q of the round
-before, which the line has no part in (instrumental variables; Young 1970, "An instrumental variable
-method for real-time identification of a noisy process", Automatica 6). Frequencies with a large E
-count less in the next round (Cauchy's weights).
+Least squares would fit Q to the line, which is in V: a strong one draws Q to 0 and hides itself.
+The equations are therefore not weighted with V but with f F / Q of the previous round, the motion
+due to the force alone, which excludes the line (instrumental variables; Young 1970, "An
+instrumental variable method for real-time identification of a noisy process", Automatica 6).
+Frequencies with a large E count less in the next round (Cauchy's weights).
 
-A line is named where it carries a fiftieth of the velocity's power and E stands out of the median
-beside it, at one of three widths: 4 frequencies of the record, 16 and 64, or two thirds of a hertz.
-Friction, noise and counts never came near either (tests).
+A line is reported where it carries a fiftieth of the velocity's power and E exceeds the
+neighbouring median, at one of three widths: 4 frequencies of the record, 16 and 64, or two thirds
+of a hertz. Friction, noise and counts never came near either threshold (tests).
 
-Limitations: noise in the velocity, which shrinks |Z| as with "spa"; a drift of it, at the lowest
-frequencies; features of Z itself that are narrower than half of the width by far; a resonance of a
-light part below 12 Hz that a polynomial does not follow; a limit cycle that wanders over more than
-a hertz.
+Limitations: noise in the velocity, which shrinks |Z| as with "spa", or its drift at the lowest
+frequencies; features of Z much narrower than half of the width; a resonance of a light part below
+12 Hz that a polynomial does not follow; a limit cycle that wanders over more than a hertz.
 """
 
 from dataclasses import dataclass, field, replace
@@ -79,44 +79,44 @@ from hapticd.signal.spectra import Spectra
 __all__ = ["hinted", "low_line", "resolved"]
 
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
-NARROWER = 0.5  # times the width, of the fit that tells the bias
+NARROWER = 0.5  # times the width, of the fit that measures the bias
 BIAS = 2.0  # times the difference of the two: 8/7 where Q is smooth, more where it bends within it
-ABOUT = 3 * LINE_WIDTH  # lines on each side of one that is not explained
+ABOUT = 3 * LINE_WIDTH  # lines on each side of an unexplained one
 
 
 @dataclass(frozen=True, eq=False)
 class Resolved(Spectra):
     """Spectra of a window in which lines, and the ends of a band, were replaced.
 
-    Their ratio is Z by local polynomials, and their coherence gives its interval. Elsewhere they
-    are the window's.
+    At the replaced frequencies their ratio is Z by local polynomials, and their coherence gives its
+    interval.
     """
 
     from_hz: float = 0.0  # first frequency that was replaced
     to_hz: float = 0.0  # last frequency that was replaced
     explained: float = 0.0  # share of the velocity's power there that the perturbation explains
-    # (F,) of Z, relative: what the fit may be wrong by; 0 where nothing was replaced
+    # (F,) of Z, relative: possible error of the fit; 0 where nothing was replaced
     bias: Complexes = field(default_factory=lambda: np.zeros(0, np.complex128))
 
     resolved: ClassVar[bool] = True
 
     def part(self, which: Flags | Integers | slice) -> Spectra:
-        """Spectra at some of the frequencies, `which` (F,)."""
+        """Return spectra at some of the frequencies, `which` (F,)."""
         return Spectra.part(replace(self, bias=self.bias[which]), which)
 
     @property
     def whole(self) -> bool:
-        """Always false: what was replaced is no sum of covariances inside the window."""
+        """Always false: replaced lines are not a sum of covariances inside the window."""
         return False
 
     @property
     def ring(self) -> tuple[float, float]:
-        """Time [s] in which the strongest motion falls by e once it is left alone, 2 m / Re Z, and
-        the frequency [Hz] of the line next to it; inf where Re Z does not damp it.
+        """Time [s] in which the strongest motion decays by e when free, 2 m / Re Z, and the
+        frequency [Hz] of the line next to it; inf where Re Z does not damp it.
 
         2 pi m is the slope of f Im Z over f^2. The velocity is a mean over the width of a fit, so
-        it is as large at all lines that are less than half of that from the resonance. It is where
-        Z is least.
+        all lines within half of that from the resonance have the same size. The resonance is where
+        |Z| is smallest.
         """
         fitted = self.part((self.frequency_hz >= self.from_hz) & (self.frequency_hz <= self.to_hz))
         f = fitted.frequency_hz
@@ -130,7 +130,7 @@ class Resolved(Spectra):
 
     @property
     def said(self) -> str:
-        """How Z was found, in words."""
+        """Description of the method that found Z."""
         width_hz = WIDTH * self.rate_hz / self.lag
         return (
             f"motion narrower than the window of {self.lag} samples: judged again by the record's "
@@ -145,11 +145,12 @@ def unresolved(
     estimator: Estimator = "spa",
     linear: bool = False,
 ) -> Flags:
-    """Which lines (F,) of a window's spectra need their record; none where the window is enough.
+    """Return which lines (F,) of a window's spectra need their record; none if the window is
+    sufficient.
 
-    These are all of a band that leaks or has a line that is not explained, and those about that
-    line. What a `linear` device leaves unexplained is due to the window and to the record's ends,
-    so there the record is needed in any case.
+    If a band leaks or has an unexplained line, these are all of its lines and those about that
+    line. For a `linear` device any unexplained motion is due to the window and to the record's
+    ends, so the record is needed in any case.
     """
     line = None if trial.resolved else line_of(trial)
     if trial.resolved or not (linear or line or leakage_findings(trial, band_hz, estimator)):
@@ -171,10 +172,10 @@ def resolved(
     transform_n: Complexes | None = None,
 ) -> Spectra:
     """Resolve the lines `needed` (F,) and the edges of the band in `trial`, the spectra of that
-    record (N,); `trial` itself where none is needed.
+    record (N,). Return `trial` itself if no line is needed.
 
-    `servo_rate_hz` is the rate at which the law samples, if known; `transform_n` (N/2 + 1,) the
-    `rfft` of the force, where it is known from another trial. AnalysisError for unequal lengths.
+    `servo_rate_hz` is the rate at which the law samples, if known; `transform_n` (N/2 + 1,) is the
+    `rfft` of the force, if known from another trial. AnalysisError for unequal lengths.
     """
     if not needed.any():
         return trial
@@ -194,8 +195,8 @@ def resolved(
 
 
 def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit, bias: Complexes) -> Resolved:
-    """Return `trial` with what was fitted at `frequency_hz` (F,) in the place of its own lines
-    there, and its relative `bias` (F,).
+    """Return `trial` with its lines at `frequency_hz` (F,) replaced by the fit, and the fit's
+    relative `bias` (F,).
     """
     size = np.maximum(np.abs(fit.z) ** 2, TINY)
     share = 0.5 * trial.degrees_of_freedom * fit.variance / size
@@ -227,7 +228,7 @@ def _fits(
     servo_rate_hz: float | None,
     width: float,
 ) -> Fit:
-    """Fits over `width` / (M T) to the `transforms` of force and velocity, at `frequency_hz`."""
+    """Fit over `width` / (M T) to the `transforms` of force and velocity, at `frequency_hz`."""
     bins_per_hz = samples / trial.rate_hz
     half = max(2 * TERMS, round(0.5 * width * samples / trial.lag))
     servo = 0 if servo_rate_hz is None else round(servo_rate_hz * bins_per_hz)
@@ -240,20 +241,20 @@ def _fits(
     return fit
 
 
-# --- lines below those that the window shows ------------------------------------------------------
+# --- lines below those of the window --------------------------------------------------------------
 
 
-FIRST_SHOWN = 2 * LINE_WIDTH  # of the window's own lines, which shows what is unexplained
+FIRST_SHOWN = 2 * LINE_WIDTH  # of the window's own lines at which it shows unexplained power
 HINT = 2.0  # of a line over those beyond the window's width
 ORDER = 4  # of both polynomials; the device's own is of the second
 ROUNDS = 6
 RIDGE = 1e-12
 WIDTHS = (4, 16, 64)  # frequencies of the record: a sine between two of them, and wandering ones
 WIDEST = 1.0 / 3.0  # of 1/(M T)
-REACH = 0.75  # of 1/(M T): how far beside a line E is looked at
+REACH = 0.75  # of 1/(M T): range about a line over which E is compared
 HEIGHT = 6.0  # of a line over that; four values of noise reach it once in 10^7
 STRIDE = 16  # frequencies between medians
-WEIGHT = 4.0  # times the usual |E|^2: there a frequency counts half
+WEIGHT = 4.0  # times the usual |E|^2, at which a frequency counts half
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +267,8 @@ class LowFit:
 
 
 def hinted(trial: Spectra) -> bool:
-    """Whether a window's spectra hint at a line among their first frequencies: unexplained power
-    that is not less than beside it and falls within the window's width. Their record decides.
+    """Whether a window's spectra suggest a line among their first frequencies: unexplained power at
+    least that of its neighbours, which falls within the window's width. The record then decides.
     """
     if not trial.whole or trial.frequency_hz.size <= 2 * FIRST_SHOWN:
         return False
@@ -283,9 +284,8 @@ def hinted(trial: Spectra) -> bool:
 def low_line(
     force_n: npt.ArrayLike, velocity_m_per_s: npt.ArrayLike, trial: Spectra
 ) -> tuple[Finding, ...]:
-    """Name the strongest line of a record (N,) between the lowest frequency of the window of
-    `trial`, its spectra, and the first at which that shows lines; nothing unless they hint at one.
-
+    """Report the strongest line of a record (N,) between the lowest frequency of the window of
+    `trial`, its spectra, and the first at which the window shows lines. Empty unless `hinted`.
     AnalysisError for unequal lengths.
     """
     if not hinted(trial):
@@ -302,7 +302,7 @@ def low_line(
 
 
 def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit:
-    """From half the window's lowest frequency to a little above the first that it shows."""
+    """Fit from half the window's lowest frequency to a little above its first shown line."""
     low = 0.5 * trial.lowest_hz
     high = (0.5 * FIRST_SHOWN + 1.0) * trial.lowest_hz
     bins = np.arange(int(np.ceil(low * trial.seconds)), int(high * trial.seconds) + 1)
@@ -318,7 +318,9 @@ def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit
 def _explained(
     wanted: Complexes, force: Complexes, velocity: Complexes, powers: Floats
 ) -> tuple[Floats, Complexes]:
-    """|E|^2 and Q (F,) of `wanted` = Q `velocity` + J + E, of polynomials in `powers` (F, p)."""
+    """Return |E|^2 and Q (F,) of `wanted` = Q `velocity` + J + E, polynomials in `powers` (F,
+    p).
+    """
     columns = _columns(velocity, powers)
     instrument = force
     weights = np.ones(wanted.size)
@@ -334,7 +336,7 @@ def _explained(
 
 
 def _columns(moved: Complexes, powers: Floats) -> Complexes:
-    """Of Q and of J, (F, 2 p), each of mean size 1."""
+    """Return the columns of Q and of J, (F, 2 p), each of mean size 1."""
     return np.concatenate((powers * (moved / _size(moved))[:, None], powers + 0j), axis=1)
 
 
@@ -343,12 +345,14 @@ def _size(values: Complexes) -> float:
 
 
 def _mean(power: Floats) -> float:
-    """Mean of a power that is exponentially distributed but for a few lines: by its median."""
+    """Return the mean of an exponentially distributed power with a few lines, from its median."""
     return float(np.median(power)) / log(2.0)
 
 
 def _strongest(found: LowFit, trial: Spectra, width: int) -> tuple[float, float]:
-    """Share of the velocity's power, and frequency [Hz], of the strongest line that stands out."""
+    """Return the share of the velocity's power and the frequency [Hz] of the strongest line that
+    exceeds its surroundings.
+    """
     f = found.frequency_hz
     rest, share = (
         np.convolve(one, np.ones(width), "same") for one in (found.rest, found.unexplained)

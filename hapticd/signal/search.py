@@ -1,57 +1,55 @@
-"""The directed search that the paper left to future work: few trials, each where it tells most
-about the boundary.
+"""The directed search that the paper left to future work: few trials, each where it gives most
+information about the boundary.
 
-A `surrogate` of Re Z(w; K, B, M) says where the boundary probably is. Rays from the middle of the
-set meet it in points (`passive_set`); the next trial is the one farthest from all trials so far. So
-every trial also confirms the boundary that was expected. On an affine device 4 trials suffice; with
-a smooth non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs
-180,000.
+A `surrogate` of Re Z(w; K, B, M) predicts the probable boundary. Rays from the middle of the set
+meet it in points (`passive_set`). The next trial is the point farthest from all trials so far, so
+every trial also confirms the expected boundary. On an affine device 4 trials suffice. With a smooth
+non-affine part about 45 leave 2 % of the volume wrong, where a grid of yes and no needs 180,000.
 
-What is known beforehand helps, and each of it may be left out:
+Prior knowledge helps, and each item is optional:
 
-    prior        Re Z as a model predicts it; only what was measured otherwise is learnt
+    prior        Re Z as a model predicts it; only the difference from the measurement is learnt
                  (`surrogate`)
-    headroom     orders environments by how near they are to escape; how much of it a trial needs is
-                 learnt (`least_headroom`)
-    independent  how many independent values the estimate has at each frequency; then the set is
-                 that of environments whose trial rather passes than fails, and without it the one
-                 whose expected Re Z is nowhere negative
+    headroom     orders environments by their distance from escape; the headroom that a trial needs
+                 is learnt (`least_headroom`)
+    independent  how many independent values the estimate has at each frequency. With it the set
+                 contains the environments whose trial probably passes; without it, those whose
+                 expected Re Z is nowhere negative
 
-Stability is a question of its own (K < 0, slow poles, friction overcome): unstable trials teach no
-spectrum. Without a headroom, what is nearer to an unstable trial than to every stable one stays
-out.
+Stability is a separate question (K < 0, slow poles, friction overcome): unstable trials give no
+spectrum. Without a headroom, environments nearer to an unstable trial than to every stable one are
+excluded.
 
-Escape. A loop that only friction keeps stable escapes in a burst of its own motion. Whether it does
-within 90 s is not in Re Z, and it is abrupt: of trials on one side of the boundary all escape, on
-the other none. Some headroom, a number for every environment that falls towards the boundary, is
-known beforehand (`ModelPrior`); how much of it a trial needs is not. Trials tell:
+Escape. A loop that only friction keeps stable escapes in a burst of its own motion. Re Z does not
+show whether it does so within 90 s, and the transition is abrupt: on one side of the boundary all
+trials escape, on the other none. Headroom, a number for every environment that falls towards the
+boundary, is known beforehand (`ModelPrior`). The headroom that a trial needs is learnt from trials:
 
     P(stable) = 1 / (1 + exp(-(headroom - least) / width)),   least ~ N(0, SPREAD^2)
 
-`least` is the mean of its posterior at the likeliest width. A trial on the boundary halves what is
-open, as in a bisection; where chance decides, many trials there settle where one half of them
-escape.
+`least` is the mean of its posterior at the likeliest width. A trial on the boundary halves the open
+interval, as in a bisection. Where chance decides, many trials settle at the point where half of
+them escape.
 
-The model's prior says two things of any environment before a trial: Re Z, and headroom against
-escape. Re Z is that of the recorded channels, with friction linearised at each point, on the
-frequencies that trials are kept at.
+The model's prior gives Re Z and the headroom against escape of any environment before a trial. Re Z
+is that of the recorded channels, with friction linearised at each point, on the frequencies of the
+trials.
 
-Headroom: friction of b N s/m (linearised) keeps the loop calm; below b_c the sampled loop is
-unstable by its spectral radius. Motion s times larger makes friction s times weaker, so the loop
-escapes in bursts of b / b_c times the usual motion:
+Friction of b N s/m (linearised) keeps the loop calm; below b_c the sampled loop is unstable by its
+spectral radius. Motion s times larger makes friction s times weaker, so the loop escapes in bursts
+of b / b_c times the usual motion:
 
     headroom = 1 / 3 - b_c / b
 
-0 where bursts of three times the usual escape, as `linearise` assumes; above, larger ones are
-needed; a loop that is stable without friction has b_c <= 0, and is not followed below -0.4 of the
-friction at rest. Which headroom 90 s of trial need is not known from theory (the trials teach it).
-
-Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a grid of the
-box. Where several bodies rub, their friction is scaled together.
+It is 0 where bursts of three times the usual motion escape, as `linearise` assumes, and positive
+where only larger ones do. A loop that is stable without friction has b_c <= 0; b_c is not followed
+below -0.4 of the friction at rest. Theory does not give the headroom that a 90 s trial needs; the
+trials do. Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a
+grid of the box. If several bodies have friction, it is scaled together.
 
 Limitations: a first trial that is not passive; a set that rays from its middle meet twice; a
-headroom that orders environments wrongly, for then one number cannot tell them apart; a device that
-escapes otherwise, as by its quantiser.
+headroom that orders environments wrongly, because one number then cannot separate them; a device
+that escapes by another mechanism, such as its quantiser.
 """
 
 from collections.abc import Callable, Sequence
@@ -97,28 +95,28 @@ __all__ = [
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 
-SPREAD = 0.3  # of the least headroom before any trial: the prediction may be off by so much
+SPREAD = 0.3  # of the minimum headroom before any trial: uncertainty of the prediction
 WIDTHS = (0.01, 0.02, 0.04, 0.08)  # of the step from escape to none, in headroom
 _USUAL_WIDTH = 0.02  # median of the width
 _WIDTH_SPREAD = 1.0  # standard deviation of its logarithm
 _LEAST = np.linspace(-1.0, 1.0, 401)  # headroom that a trial may need
 FEWEST = 4  # stable trials before the search can direct
 FIRST_STEPS = (0.15, 0.12, 0.10)  # of the box, of K, B and M
-_END_INTEREST = 0.3  # of a point at the end of the box, where the set goes on
-# of a point where escape ends the set: half of such trials teach yes or no alone, and no spectrum
+_END_INTEREST = 0.3  # of a point at the end of the box, where the set continues
+# of a point where escape ends the set: half of such trials give no spectrum
 _ESCAPE_INTEREST = 0.5
-_NARROW = 0.01  # of headroom, about its least
+_NARROW = 0.01  # of headroom, about its minimum
 
 
 def least_headroom(headroom: Floats, stable: Flags) -> float:
-    """Least headroom of a stable trial, from the headroom (n,) of trials and whether each was
-    stable (n,); 0 without trials.
+    """Return the minimum headroom of a stable trial, from the headroom (n,) of trials and whether
+    each was stable (n,); 0 without trials.
     """
     return max(_posterior(headroom, stable, width) for width in WIDTHS)[1]
 
 
 def _posterior(headroom: Floats, stable: Flags, width: float) -> tuple[float, float]:
-    """Logarithm of the evidence for `width`, and mean of the least headroom."""
+    """Return the logarithm of the evidence for `width`, and the mean of the minimum headroom."""
     beyond = (headroom[:, None] - _LEAST) / width
     seen = -np.logaddexp(0.0, np.where(stable[:, None], -beyond, beyond)).sum(axis=0)
     logs = seen - 0.5 * (_LEAST / SPREAD) ** 2
@@ -140,12 +138,12 @@ class Search:
     trials: tuple[Observation, ...] = ()  # stable ones
     unstable: tuple[Floats, ...] = ()  # environments (3,) of trials that were not stable
     surrogate: Surrogate | None = None  # the fit; None before four stable trials
-    least: float = 0.0  # headroom that a stable trial needs, as learnt
+    least: float = 0.0  # learnt headroom that a stable trial needs
 
     def with_trials(
         self, environments: npt.ArrayLike, seen: Sequence[Observation | None]
     ) -> "Search":
-        """The search after trials of `environments` (n, 3); an observation is None where the
+        """Return the search after trials of `environments` (n, 3); an observation is None where the
         loop was not stable.
         """
         places = np.atleast_2d(np.asarray(environments, np.float64))
@@ -173,9 +171,8 @@ class Search:
 
 
 def first_trials(box: Box, inside: npt.ArrayLike) -> Floats:
-    """Four environments (4, 3) to begin with: `inside`, which is passive for sure, and a step
-    from it along each axis, towards the farther end. AnalysisError if `inside` lies outside the
-    box.
+    """Return the first four environments (4, 3): `inside`, which must be passive, and a step from
+    it along each axis, towards the farther end. AnalysisError if `inside` lies outside the box.
     """
     centre = box.to_unit(inside)[0]
     if np.any(centre < 0.0) or np.any(centre > 1.0):
@@ -188,8 +185,8 @@ def first_trials(box: Box, inside: npt.ArrayLike) -> Floats:
 
 
 def next_trials(search: Search, count: int = 1) -> Floats:
-    """Environments (count, 3) to try next, in order: points of the boundary, each the farthest
-    from all trials and from those before it.
+    """Return the next environments (count, 3) to try, in order: points of the boundary, each the
+    farthest from all trials and from those before it.
     """
     found = _fitted(search)
     box = search.box
@@ -209,7 +206,7 @@ def next_trials(search: Search, count: int = 1) -> Floats:
 
 
 def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
-    """Whether the search takes each of `environments` (N, 3) for passive and stable, (N,)."""
+    """Return whether each of `environments` (N, 3) is predicted passive and stable, (N,)."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     found = _fitted(search)
     if search.independent is None:
@@ -225,8 +222,8 @@ def predicted_passive(search: Search, environments: npt.ArrayLike) -> Flags:
 
 
 def doubtful_share(search: Search) -> float:
-    """Volume whose margin is within one standard deviation of 0, over the volume that is taken
-    for passive: says when to stop.
+    """Return the volume whose margin is within one standard deviation of 0, over the volume
+    predicted to be passive: a stopping criterion.
     """
     found = _fitted(search)
     inside = search.box.to_environment(samples())
@@ -247,8 +244,8 @@ def _fitted(search: Search) -> Surrogate:
 
 
 def _middle(search: Search) -> Floats:
-    """Mean of the set, or the trial with the largest margin where the mean is not inside; (3,)
-    in the unit box.
+    """Return the mean of the set, (3,) in the unit box, or the trial with the largest margin if the
+    mean is not inside.
     """
     found = _fitted(search)
     places = samples()
@@ -259,18 +256,18 @@ def _middle(search: Search) -> Floats:
     return np.asarray(found.unit[np.argmax(margin(found, search.box.to_environment(found.unit)))])
 
 
-# --- what a model says beforehand -----------------------------------------------------------------
+# --- the prior of a model -------------------------------------------------------------------------
 
 
 SHAPE = (20, 12, 14)  # of the grid of b_c
-SHARES = (  # of the friction at rest, at which stability is looked at
+SHARES = (  # of the friction at rest, at which stability is computed
     -0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.2, 2.0,
 )  # fmt: skip
 _LEAST_NS_PER_M = 1e-6
 
 
 class Known(NamedTuple):
-    """What the model says of N environments, at F frequencies."""
+    """The model's prediction for N environments, at F frequencies."""
 
     environments: Floats  # (N, 3)
     resistance_ns_per_m: Floats  # (N, F), Re Z
@@ -308,13 +305,13 @@ class ModelPrior:
         return self._known(environments).resistance_ns_per_m
 
     def headroom(self, environments: Floats) -> Floats:
-        """Headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
+        """Return the headroom (N,) of `environments` (N, 3) against escape, in -1..1."""
         friction = self._known(environments).friction_ns_per_m
         share = self._needed(environments) / np.maximum(friction, _LEAST_NS_PER_M)
         return np.clip(1.0 / BURSTS[-1] - share, -1.0, 1.0)
 
     def _known(self, environments: Floats) -> Known:
-        """The last answer is kept, because the search asks for Re Z and friction at the same
+        """Predict, and cache the last result: the search requests Re Z and friction at the same
         points in turn.
         """
         if self._last is None or not np.array_equal(self._last.environments, environments):
@@ -335,8 +332,8 @@ class ModelPrior:
 def _needed(
     model: Model, box: Box, rest: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
-    """Least friction (N,) [N s/m] at which the loop is stable on the table's grid; between two
-    values of friction the radius is taken for a straight line.
+    """Return the minimum friction (N,) [N s/m] at which the loop is stable on the table's grid; the
+    radius is linear between two values of friction.
     """
     places = grid(_axes(box))
     usual = float(rest.sum()) or 1.0

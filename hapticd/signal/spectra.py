@@ -1,7 +1,7 @@
 """`spa`: Blackman-Tukey spectra with a Hann lag window, of a record at once or while it arrives.
 
-The definition is that of MATLAB's `spa`; the impedance that follows is in `impedance`. Velocity u
-is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008, section 2.2):
+The definition is that of MATLAB's `spa`; `impedance` computes Z from the spectra. Velocity u is the
+input, force y the output, as in the paper (Weir, Colgate and Peshkin 2008, section 2.2):
 
     R_yu(t)   = 1/N sum_k y(k + t) u(k),  |t| <= M          biased covariances of the detrended
                                                             record
@@ -11,23 +11,26 @@ is the input, force y the output, as in the paper (Weir, Colgate and Peshkin 200
                                                             inside the band
 
 (Ljung, System Identification, 2nd ed. 1999, section 6.4. Older MATLAB help calls this window
-Hamming.) The covariances are made in `covariances`. 90 s at 4 kHz with the paper's M = 2048 give
-2.6 Hz bandwidth and 469 degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
+Hamming.) `covariances` computes the covariances. 90 s at 4 kHz with the paper's M = 2048 give 2.6
+Hz bandwidth and 469 degrees of freedom; at coherence 0.9 that is 0.9 degrees and 1.5 %.
 
-Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, hold the whole
-estimate; what lies between them is their trigonometric interpolation:
+Because W(+-M) = 0, the M + 1 frequencies k/(2 M) of the sample rate, the lines, determine the whole
+estimate. Values between them follow by trigonometric interpolation:
 
     Phi(w) = sum_k Phi_k D(w - w_k),   D(x) = sin(M x) / (2 M tan(x/2)),   k over a circle of 2 M
 
-So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's
-window.
+A band therefore extends from edge to edge (`Spectra.band`) although 2 Hz is not a line of the
+paper's window.
 
-Limitations: - a record shorter than a few windows, or a spring below 1/(M T): the window smooths
-the steep spectrum and pulls the phase to 0; - channels that are not sampled together: a skew d
-turns the phase by 360 f d degrees. A velocity sampled at the instant at which a held force changes
-is such a skew: record what the board's probe records, means of force and velocity over the same
-interval, or undo it (`corrected`); - a drift: the window's side lobes, up to -0.03 of what is at 0
-Hz, have their zeros on the lines but not between them.
+Limitations:
+
+- A record shorter than a few windows, or a spring below 1/(M T): the window smooths the steep
+  spectrum and pulls the phase to 0.
+- Channels that are not sampled together: a skew d turns the phase by 360 f d degrees. A velocity
+  sampled at the instant at which a held force changes is such a skew. Record means of force and
+  velocity over the same interval, as the board's probe does, or correct it (`corrected`).
+- A drift: the window's side lobes, up to -0.03 of the value at 0 Hz, have their zeros on the lines
+  but not between them.
 """
 
 from dataclasses import dataclass, replace
@@ -53,8 +56,8 @@ from hapticd.signal.covariances import (
 __all__ = ["DEFAULT_LAG", "Spectra", "SpectralStream", "corrected", "grid_frequencies", "spa"]
 
 CHANNELS = ("frequency_hz", "velocity", "force", "cross")  # arrays (F,) of `Spectra`
-NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
-LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them
+NEAR = 1e-6  # of the spacing of the lines: a closer frequency is that line
+LEFT = 0.5  # of the smaller power of two lines: the minimum between lines of a smooth spectrum
 
 
 DEFAULT_LAG = 2048  # Weir, Colgate and Peshkin 2008, section 2.2: "a window length of 2048 points"
@@ -62,15 +65,13 @@ DEFAULT_LAG = 2048  # Weir, Colgate and Peshkin 2008, section 2.2: "a window len
 
 @dataclass(frozen=True, slots=True)
 class ChannelFaults:
-    """Known faults of the recorded channels that were taken out, as the arguments of
-    `corrected`.
-    """
+    """Known and corrected faults of the recorded channels, as the arguments of `corrected`."""
 
     skew_s: float = 0.0
     high_pass_hz: float = 0.0
 
     def response(self, frequency_hz: Floats) -> Complexes:
-        """Response of the velocity channel (F,); 1 at 0 Hz."""
+        """Return the response of the velocity channel (F,); 1 at 0 Hz."""
         f = frequency_hz
         one = np.ones(f.size, np.complex128)
         passed = np.divide(1j * f, self.high_pass_hz + 1j * f, out=one, where=f > 0.0)
@@ -91,7 +92,7 @@ class Spectra:
     port: str = "probe"  # where the velocity was measured
     taken_out: tuple[ChannelFaults, ...] = ()  # faults that were corrected, in order
 
-    # plain averages, whose intervals hold for few of them as well; those of a window need many
+    # plain averages, whose intervals hold even for few of them; those of a window need many
     exact: ClassVar[bool] = False
     # motion that is narrower than the window was resolved where it mattered (`resolved`)
     resolved: ClassVar[bool] = False
@@ -118,31 +119,28 @@ class Spectra:
 
     @property
     def lowest_hz(self) -> float:
-        """Lowest frequency of which the window says something, 1/(M T)."""
+        """Lowest frequency that the window resolves, 1/(M T)."""
         return self.rate_hz / self.lag
 
     @lazy_property
     def whole(self) -> bool:
-        """Whether these are all lines of the window, which hold the estimate between them as
-        well.
-        """
+        """Whether these are all lines of the window, which also determine the rest."""
         if self.exact or self.frequency_hz.size != self.lag + 1:
             return False
         return np.array_equal(self.frequency_hz, _lines(self.rate_hz, self.lag))
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
-        """Spectra at some of the frequencies, `which` (F,)."""
+        """Return spectra at some of the frequencies, `which` (F,)."""
         return replace(self, **{name: getattr(self, name)[which] for name in CHANNELS})
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":
-        """Spectra from `band_hz[0]` to `band_hz[1]`, both ends among them: an end that is no line
-        is interpolated exactly.
+        """Return spectra from `band_hz[0]` to `band_hz[1]`, both included; an end between lines is
+        interpolated exactly.
 
-        At an end that has lost its power to the side lobes of a drift, or of a steep spectrum, the
-        next line outside the band stands in its place, so that the band is looked at without a
-        gap; it is left out below `lowest_hz`, of which the window says nothing. Spectra that are
-        not `whole` give whatever frequencies they have inside. AnalysisError for an end outside
-        0..rate/2.
+        An end may have lost its power to the side lobes of a drift or of a steep spectrum. The next
+        line outside the band then replaces it, so that the band has no gap, or nothing if that line
+        is below `lowest_hz`. Spectra that are not `whole` return the frequencies that they have
+        inside. AnalysisError for an end outside 0..rate/2.
         """
         ends_hz = float(band_hz[0]), float(band_hz[1])
         if ends_hz not in self._bands:
@@ -151,7 +149,7 @@ class Spectra:
 
     @lazy_property
     def _bands(self) -> "dict[tuple[float, float], Spectra]":
-        """Bands that were cut before, by their ends [Hz]."""
+        """Cache of bands by their ends [Hz]."""
         return {}
 
     def _cut(self, band_hz: tuple[float, float]) -> "Spectra":
@@ -165,7 +163,7 @@ class Spectra:
         return _joined([*self._edge(band_hz[0], 0), self.part(slice(first, last + 1)), *after])
 
     def _edge(self, frequency_hz: float, outside: int) -> "list[Spectra]":
-        """The spectra at an end of a band that is no line; where that has no power of its own, the
+        """Return the spectra at an end of a band between lines; if it has no power of its own, the
         line below it (`outside` = 0) or above it (1).
         """
         beside = lines_beside(frequency_hz, self.rate_hz, self.lag)
@@ -180,7 +178,7 @@ class Spectra:
         return [instead] if instead.frequency_hz[0] >= self.lowest_hz else []
 
     def _between(self, frequency_hz: float) -> "Spectra":
-        """The spectra at a frequency that is no line: interpolated as recorded, then corrected
+        """Return the spectra at a frequency between lines: interpolated as recorded, then corrected
         as these are.
         """
         even, odd = _weights(self.lag, frequency_hz * 2.0 * self.lag / self.rate_hz)
@@ -198,19 +196,19 @@ class Spectra:
 
     @property
     def smoothing_hz2(self) -> float:
-        """Second moment s^2 of the window in frequency [Hz^2]: a curved spectrum is changed by
-        half of its second derivative times that.
+        """Second moment s^2 of the window in frequency [Hz^2]: it changes a curved spectrum by half
+        of the second derivative times s^2.
         """
         return 0.125 * (self.rate_hz / self.lag) ** 2
 
     @property
     def span(self) -> str:
-        """What the values were taken over, in words."""
+        """Description of the interval of analysis."""
         return f"window of {self.lag} samples"
 
     @property
     def covers(self) -> str:
-        """What the intervals cover, in words."""
+        """Description of the errors that the intervals cover."""
         return (
             "the random error of a record of this length; not what the window smooths, which is"
             " named where it shows"
@@ -218,8 +216,8 @@ class Spectra:
 
     @lazy_property
     def coherence(self) -> Floats:
-        """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Not to be written to:
-        whoever asks gets the same array.
+        """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Read-only: all
+        callers share the array.
         """
         power = self.velocity * self.force
         square = self.cross.real**2 + self.cross.imag**2
@@ -231,8 +229,8 @@ class Spectra:
 def spectra(
     covariances: Covariances, rate_hz: float, frequency_hz: Floats | None = None
 ) -> Spectra:
-    """Windowed transform of `covariances` at `frequency_hz` (F,), by default at k rate/(2 M), k
-    = 0..M.
+    """Return the windowed transform of `covariances` at `frequency_hz` (F,), by default at k
+    rate/(2 M), k = 0..M.
     """
     lag = covariances.velocity.size - 1
     ahead = np.stack((covariances.velocity, covariances.force, covariances.forward))
@@ -251,10 +249,10 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) ->
     """Return `trial` as if its channels had been sampled together and the velocity channel reached
     down to 0 Hz.
 
-    `skew_s`: the velocity is that of `skew_s` later than the force of the same sample.
-    `high_pass_hz`: corner of a first-order high-pass in the velocity channel; the value at 0 Hz
-    stays as it is; `trial` itself where both are 0. That force is held and velocity averaged is no
-    fault: a model is compared as it would be recorded (`loop`).
+    `skew_s`: time from the force to the velocity of one sample. `high_pass_hz`: corner of a
+    first-order high-pass in the velocity channel; the value at 0 Hz does not change. If both are 0,
+    `trial` itself is returned. The hold of the force and the averaging of the velocity are not
+    faults: predictions are compared as they would be recorded (`loop`).
     """
     if not (skew_s or high_pass_hz):
         return trial
@@ -272,9 +270,7 @@ def _corrected(trial: Spectra, channel: ChannelFaults) -> Spectra:
 
 
 def _distorted(trial: Spectra) -> Spectra:
-    """Return the spectra as they were recorded: only those are a sum of covariances inside the
-    window.
-    """
+    """Return the spectra as recorded: only those are a sum of covariances inside the window."""
     for channel in trial.taken_out:
         response = channel.response(trial.frequency_hz)
         velocity = trial.velocity * np.abs(response) ** 2
@@ -291,11 +287,11 @@ def _joined(parts: list[Spectra]) -> Spectra:
 
 @lru_cache(maxsize=64)
 def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
-    """Weights of the lines' real and of their imaginary parts (M + 1,) in the value at `place`,
-    which is in lines and is no line itself.
+    """Return the weights of the lines' real and imaginary parts (M + 1,) in the value at `place`,
+    which is in units of lines and between two of them.
 
-    Lines of negative frequency have the conjugate values, so each weight is D of a line and of its
-    mirror image.
+    Lines of negative frequency have the conjugate values, so each weight combines D of a line and
+    of its mirror image.
     """
     own = _kernel(lag, place)
     mirrored = _kernel(lag, -place)
@@ -304,8 +300,8 @@ def _weights(lag: int, place: float) -> tuple[Floats, Floats]:
 
 
 def _kernel(lag: int, place: float) -> Floats:
-    """D (M + 1,) of the module's text at `place` - k, k = 0..M. The sine is taken of the
-    distance to the nearest line, which keeps its digits.
+    """Return D (M + 1,) of the module docstring at `place` - k, k = 0..M. The sine of the distance
+    to the nearest line preserves its digits.
     """
     k = np.arange(lag + 1)
     line = round(place)
@@ -316,7 +312,7 @@ def _kernel(lag: int, place: float) -> Floats:
 
 
 def grid_frequencies(rate_hz: float, lag: int) -> Floats:
-    """Return k rate/(2 M), k = 0..M: the frequencies that hold the whole estimate (M + 1,)."""
+    """Return k rate/(2 M), k = 0..M: the frequencies that determine the whole estimate (M + 1,)."""
     return np.asarray(np.arange(lag + 1) * (0.5 * rate_hz / lag), np.float64)
 
 
@@ -324,16 +320,14 @@ _lines = lru_cache(maxsize=8)(grid_frequencies)
 
 
 def lines_beside(frequency_hz: float, rate_hz: float, lag: int) -> tuple[int, int]:
-    """Numbers of the lines at or below and at or above a frequency; the same twice where that is
-    a line.
-    """
+    """Return the numbers of the lines at or below and at or above a frequency; equal on a line."""
     place = frequency_hz * (2.0 * lag / rate_hz)
     return floor(place + NEAR), ceil(place - NEAR)
 
 
 def on_the_grid(ahead: Floats, behind: Floats) -> Complexes:
-    """Windowed transform (..., M + 1) of covariances at lags 0..M and 0..-M, both (..., M + 1),
-    on `grid_frequencies`.
+    """Return the windowed transform (..., M + 1) of covariances at lags 0..M and 0..-M, both (...,
+    M + 1), on `grid_frequencies`.
     """
     lag = ahead.shape[-1] - 1
     circular = np.zeros((*ahead.shape[:-1], 2 * lag))
@@ -374,11 +368,11 @@ def spa(
     frequency_hz: npt.ArrayLike | None = None,
     detrend: bool = True,
 ) -> Spectra:
-    """Spectra of a record, force and velocity (N,) float64, as MATLAB's `spa(iddata(force,
-    velocity), lag)` computes them.
+    """Return the spectra of a record, force and velocity (N,) float64, as MATLAB's
+    `spa(iddata(force, velocity), lag)` computes them.
 
     `frequency_hz` (F,): any frequencies up to rate/2, by default k rate/(2 lag), k = 0..lag.
-    `detrend` takes a straight line out of both channels first. AnalysisError for records that are
+    `detrend` removes a straight line from both channels first. AnalysisError for records that are
     unequal, short (N <= lag) or not finite.
     """
     force, velocity = (
@@ -421,7 +415,7 @@ class SpectralStream:
         )
         if not self.n_samples and force.size and velocity.size:
             self._first = force[0], velocity[0]
-        # else the square of an offset drowns the rest
+        # otherwise the square of an offset dominates the sums
         force = force - self._first[0]
         velocity = velocity - self._first[1]
         self._sums.add(force, velocity)
@@ -429,7 +423,7 @@ class SpectralStream:
         self._velocity = self._velocity.extended(velocity, self._sums.lag)
 
     def spectra(self) -> Spectra:
-        """Spectra of the whole record so far, as `spa` gives them. AnalysisError if it is not
+        """Return the spectra of the whole record so far, as `spa` does. AnalysisError if it is not
         longer than the lag.
         """
         lag = self._sums.lag

@@ -1,33 +1,33 @@
-"""Learning Re Z(w; K, B, M) from few trials: a Gaussian process over what is known beforehand.
+"""Learning Re Z(w; K, B, M) from few trials: a Gaussian process on top of prior knowledge.
 
 For a rigid collocated device Re Z is affine in (K, B, M) at each w, so the passive set is convex
-and four trials know it. Real devices bend this: the rest is a Gaussian process of the environment
-(radial basis functions, one length for all frequencies), so at each frequency
+and four trials determine it. Real devices deviate. The deviation is a Gaussian process of the
+environment (radial basis functions, one length for all frequencies), so at each frequency
 
     Re Z = c0 + c (K, B, M) + g + e,   g ~ GP(amplitude^2 exp(-d^2 / 2 length^2))
 
-with g alike at all frequencies and e the trial's own noise as weight. c, g and their uncertainty
-follow in closed form (generalised least squares, universal kriging: Matheron 1969). Learning the
-spectrum and not the yes or no, nor its minimum (which noise biases), is what saves trials: 40 times
-fewer than a surrogate of the margin.
+with g of the same statistics at all frequencies and e the trial's own noise as weight. c, g and
+their uncertainty have closed forms (generalised least squares, universal kriging: Matheron 1969).
+The process learns the spectrum instead of the yes or no, or its minimum (which noise biases). This
+needs 40 times fewer trials than a surrogate of the margin.
 
-Length and amplitude are those of greatest restricted likelihood on a coarse grid, which is as fine
-as some dozens of trials can tell. The coefficients c are integrated out (Patterson and Thompson
-1971), so four trials that a plane fits exactly do not make everything certain. Without noise the
-amplitude has a closed form at each length; with noise the likelihood of a dozen frequencies
-decides, each with the noise of its own trials.
+Length and amplitude maximise the restricted likelihood on a coarse grid, which is as fine as a few
+dozen trials can resolve. The coefficients c are integrated out (Patterson and Thompson 1971), so
+four trials that a plane fits exactly do not give false certainty. Without noise the amplitude has a
+closed form at each length. With noise the likelihood of 12 frequencies decides, each with the noise
+of its own trials.
 
-Where the device is known by a model, its prediction is the mean instead: a prior gives Re Z of any
-environments, and only measured - predicted is learnt, one constant c0 a frequency and g.
+If a model of the device exists, its prediction is the mean: a prior gives Re Z of any environment,
+and only measured - predicted is learnt, one constant c0 per frequency and g.
 
-A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more
-than the expected Re Z >= 0: the chance of a yes is the product of Phi(Re Z / sd) over as many
-frequencies as are independent (`log_chance`).
+A trial passes if its estimate of Re Z is not negative at any frequency. With noise this requires
+more than the expected Re Z >= 0. The probability of a pass is the product of Phi(Re Z / sd) over
+the number of independent frequencies (`log_chance`).
 
-Environments are scaled to a unit box. Limitations: trials that were not stable (their
-spectra are of a limit cycle; leave them out), a device whose Re Z jumps, or a prior that does: what
-is learnt must be smooth. With fewer than `FEW` trials likelihood has nothing to say; then the
-length is a usual one.
+Environments are scaled to a unit box. Limitations: trials that were not stable (their spectra are
+of a limit cycle; leave them out); a device or a prior whose Re Z jumps, because the learnt function
+must be smooth. With fewer than `FEW` trials the likelihood is not informative, and a fixed length
+is used.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,15 +44,15 @@ __all__ = ["Box", "Observation", "margin"]
 Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
 
 LENGTHS = (0.15, 0.2, 0.3, 0.45, 0.7, 1.2)  # of the unit box
-# of the scatter of what is left over, that may be the process and not noise
+# shares of the residual scatter attributed to the process
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
 SOME = 12  # frequencies whose likelihood decides where trials are noisy
-FEW = 8  # trials below which likelihood has nothing to say
+FEW = 8  # trials below which the likelihood is not informative
 FIRST_LENGTH = 0.45
 _NUGGET = 1e-6  # of amplitude^2: keeps the matrices regular
 _LEAST_AMPLITUDE = 1e-12  # N s/m
 _LEAST_SD = 1e-12  # N s/m
-_ROUNDS = 4  # of the amplitude at one length; one would do without noise
+_ROUNDS = 4  # of the amplitude at one length; one suffices without noise
 _TOGETHER = 4096  # environments at once
 _LOGISTIC = 1.702  # Phi(x) = 1 / (1 + exp(-1.702 x)) to 0.01 (Haley 1952)
 
@@ -66,9 +66,9 @@ def kernel(one: Floats, other: Floats, length: float) -> Floats:
 def precision(
     unit: Floats, trend: Floats, noise: Floats, length: float, amplitude: float
 ) -> tuple[Floats, Floats]:
-    """Inverse (G, n, n) of the covariance of n trials at `unit` (n, 3) with `noise` (G, n), and
-    covariance (G, t, t) of the slopes of `trend` (n, t). G = 1 where all frequencies are alike,
-    else F.
+    """Return the inverse (G, n, n) of the covariance of n trials at `unit` (n, 3) with `noise` (G,
+    n), and the covariance (G, t, t) of the slopes of `trend` (n, t). G = 1 if all frequencies are
+    alike, otherwise F.
     """
     process = amplitude**2 * (kernel(unit, unit, length) + _NUGGET * np.eye(len(unit)))
     inverse = np.asarray(np.linalg.inv(process + noise[:, :, None] * np.eye(len(unit))), np.float64)
@@ -76,9 +76,7 @@ def precision(
 
 
 def likeliest(unit: Floats, trend: Floats, values: Floats, noise: Floats) -> tuple[float, float]:
-    """Length and amplitude of the greatest restricted likelihood; `values` (F, n), `noise` (G,
-    n).
-    """
+    """Return length and amplitude of maximum likelihood; `values` (F, n), `noise` (G, n)."""
     rest = values.T - trend @ np.linalg.lstsq(trend, values.T, rcond=None)[0]
     scale = (
         float(np.sqrt(np.mean(rest**2) * len(unit) / max(1, len(unit) - trend.shape[1])))
@@ -98,7 +96,7 @@ def likeliest(unit: Floats, trend: Floats, values: Floats, noise: Floats) -> tup
 def _matched(
     unit: Floats, trend: Floats, values: Floats, noise: Floats, length: float, amplitude: float
 ) -> tuple[float, float, float]:
-    """Misfit, length and the amplitude at which the whitened residual has variance 1: exact
+    """Return misfit, length and the amplitude at which the whitened residual has variance 1: exact
     without noise.
     """
     for _ in range(_ROUNDS):
@@ -122,10 +120,10 @@ def _misfit(
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Where to search."""
+    """The range of the search."""
 
-    low: tuple[float, float, float]  # least K N/m, B N s/m, M kg
-    high: tuple[float, float, float]  # most K N/m, B N s/m, M kg
+    low: tuple[float, float, float]  # minimum K N/m, B N s/m, M kg
+    high: tuple[float, float, float]  # maximum K N/m, B N s/m, M kg
 
     def to_unit(self, environments: npt.ArrayLike) -> Floats:
         """Map environments (N, 3) to the unit box."""
@@ -140,7 +138,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one stable trial taught."""
+    """The result of one stable trial."""
 
     environment: Floats  # (3,) K N/m, B N s/m, M kg
     resistance: Floats  # (F,) Re Z, N s/m
@@ -149,25 +147,25 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Surrogate:
-    """The fitted process over n trials and F frequencies; G = 1 where all frequencies are alike,
-    else F.
+    """The fitted process over n trials and F frequencies; G = 1 if all frequencies are alike,
+    otherwise F.
     """
 
     box: Box
     unit: Floats  # (n, 3) trials in the unit box
     slopes: Floats  # (F, t) of 1, K, B and M, or of 1 alone with a prior, N s/m
-    weights: Floats  # (F, n) of the trials in what the slopes leave
+    weights: Floats  # (F, n) of the trials in the residual of the slopes
     inverse: Floats  # (G, n, n) of the covariance, (N s/m)^-2
     spread: Floats  # (G, t, t) covariance of the slopes
     length: float  # of the process, in the unit box
     amplitude: float  # of the process, N s/m
-    sd: Floats  # (F,) median over the trials of their own, N s/m
-    prior: Prior | None = None  # predicted Re Z that is learnt upon
+    sd: Floats  # (F,) median over the trials' own, N s/m
+    prior: Prior | None = None  # predicted Re Z, the mean of the process
 
 
 def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> Surrogate:
-    """Fit the surrogate to `trials`, at least four that span the box. AnalysisError for fewer,
-    or for spectra on other frequencies.
+    """Fit the surrogate to `trials`, at least four that span the box. AnalysisError for fewer, or
+    for spectra on different frequencies.
     """
     if len(trials) < 4 or len({trial.resistance.size for trial in trials}) != 1:
         raise AnalysisError(
@@ -204,7 +202,7 @@ def fit(box: Box, trials: Sequence[Observation], prior: Prior | None = None) -> 
 
 
 def resistance(found: Surrogate, environments: npt.ArrayLike) -> Floats:
-    """Expected Re Z (N, F) [N s/m]."""
+    """Return the expected Re Z (N, F) [N s/m]."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     unit = found.box.to_unit(places)
     near = found.amplitude**2 * kernel(unit, found.unit, found.length)
@@ -213,17 +211,17 @@ def resistance(found: Surrogate, environments: npt.ArrayLike) -> Floats:
 
 
 def margin(found: Surrogate, environments: npt.ArrayLike) -> Floats:
-    """Expected least Re Z over the frequencies (N,) [N s/m]."""
+    """Return the minimum over the frequencies of the expected Re Z (N,) [N s/m]."""
     return np.concatenate([resistance(found, part).min(axis=1) for part in _parts(environments)])
 
 
 def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Floats) -> Floats:
-    """Logarithm (N,) of the chance that a trial's estimate has Re Z >= 0 throughout, with
-    `independent` (F,) values at each frequency.
+    """Return the logarithm (N,) of the probability that a trial's estimate has Re Z >= 0
+    throughout, with `independent` (F,) values at each frequency.
     """
     if not found.sd.any():
         return np.where(margin(found, environments) >= 0.0, 0.0, -np.inf)
-    # Phi is replaced by the logistic, whose logarithm is known far out as well
+    # the logistic replaces Phi: its logarithm is accurate in the tails as well
     scale = -_LOGISTIC / np.maximum(found.sd, _LEAST_SD)
     return np.concatenate(
         [
@@ -234,7 +232,7 @@ def log_chance(found: Surrogate, environments: npt.ArrayLike, independent: Float
 
 
 def margin_sd(found: Surrogate, environments: npt.ArrayLike) -> Floats:
-    """Standard deviation (N,) of Re Z at the frequency where it is least [N s/m]."""
+    """Return the standard deviation (N,) of Re Z at the frequency of its minimum [N s/m]."""
     places = np.atleast_2d(np.asarray(environments, np.float64))
     unit = found.box.to_unit(places)
     worst = (
@@ -259,6 +257,6 @@ def _parts(environments: npt.ArrayLike) -> list[Floats]:
 
 
 def _trend(unit: Floats, prior: Prior | None) -> Floats:
-    """Columns (N, 4) of 1, K, B, M, or (N, 1) of 1 where a prior knows the slopes."""
+    """Return the columns (N, 4) of 1, K, B, M, or (N, 1) of 1 if a prior gives the slopes."""
     one = np.ones((len(unit), 1))
     return one if prior is not None else np.column_stack((one, unit))

@@ -1,42 +1,42 @@
-"""The verdict on a trial: passive in a band, not passive in it, or undecided; never without its
+"""The verdict on a trial: passive in a band, not passive in it, or undecided, always with its
 conditions.
 
 Z is positive real where Re Z >= 0, and the sign of Re Z is that of the cross-power Re Phi_Fv,
 whichever estimator is used. Re Z is known to h = t |Z| sqrt((1 - g2) / (g2 (nu - 2))) at each
 frequency, the phase to arcsin(h / |Z|), with Student's t at a level raised so that all intervals of
-the band hold together. The margin, the least Re Z or the least 90 degrees - |phase|, then lies
-between the least lower and the least upper limit:
+the band hold together. The margin is the minimum of Re Z or of 90 degrees - |phase|. It lies
+between the minimum of the lower limits and the minimum of the upper limits:
 
-    passive       the least lower limit is above 0         not passive    an upper limit is below 0
+    passive       the minimum lower limit is above 0       not passive    an upper limit is below 0
 
-Where the record was fitted (`resolved`) h also holds what the fit itself may be wrong by.
+For fitted values (`resolved`) h also includes the possible error of the fit.
 
 The level (`sidak`): n statements that each hold with probability p^(1/n) hold together with at
 least p when their errors are independent or, as between neighbouring values of a windowed spectrum,
-positively correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at:
-the number of independent ones (band over bandwidth) is smaller, but with it a lossless device
-raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
+positively correlated (Sidak 1967; Slepian 1962). n counts all judged values. The number of
+independent values (band over bandwidth) is smaller, but with it a lossless device gives twice the
+promised false alarms, because the extreme of a smooth curve lies between them.
 
-A resonance that rings for a good part of the record swells as a random walk does. What the
-perturbation explains of it is judged by its Re Z. What it does not is active where Re Z says so,
-and else undecided: noise leaves the record's end with a share of the force of ring / (2 length) on
-average, exponentially distributed. The length that is asked for is that of `RINGS` rings, or that
-in which the same end would have a share of 1 - `DRIVEN`.
+A resonance that rings for a good part of the record swells as a random walk does. Motion that the
+perturbation explains is judged by its Re Z. Unexplained motion is active if Re Z shows it,
+otherwise undecided: noise gives the record's end a share of the force of ring / (2 length) on
+average, exponentially distributed. The requested length is that of `RINGS` rings, or that in which
+the same end would have a share of 1 - `DRIVEN`.
 
 A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
 of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
-(skew, high-pass) or bend the channels (saturation) leave nothing to decide. The paper's plain rule,
-all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor noise it calls a
+(skew, high-pass) or distort the channels (saturation) make a verdict impossible. The paper's plain
+rule, all phases within +-90 degrees, is evaluated as well. With 5 mm/s of sensor noise it calls a
 passive device with a margin of 1 degree non-passive in every trial.
 
 Margins are those of the recorded channels: the force is held and the velocity averaged over the
 interval of a sample, so Re Z of a rigid device reads high by 1 / sinc^2(f / rate) - 1
-(`impedance.reads_high`). Its sign is not changed. What other devices read is the model's to say
-(`loop`), so nothing is corrected here: predictions for trials are made of the recorded channels.
+(`impedance.reads_high`). Its sign does not change. The effect on other devices depends on the model
+(`loop`), so nothing is corrected here: predictions for trials use the recorded channels.
 
-The band is judged from edge to edge: an edge that is no line of the window is interpolated
-(`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
-verdict names its first and its last frequency.
+The band is judged from edge to edge; an edge between lines of the window is interpolated
+(`Spectra.band`). Multisines and user-defined frequencies are judged where they are, so a verdict
+contains its first and its last frequency.
 
 A band below 1/(M T), where the window smooths, is refused, and so is a record of too few windows.
 """
@@ -83,15 +83,15 @@ __all__ = [
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
-Channels = Literal["recorded"]  # force as it was held, velocity as it was averaged
+Channels = Literal["recorded"]  # held force, averaged velocity
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 MANY = 18.0  # degrees of freedom from which the expansion of Student's t holds
-# degrees of freedom of a window's values, below which the intervals mean nothing
+# degrees of freedom of a window's values below which the intervals are invalid
 LEAST_FREEDOM = 20.0
 LEAST_EXACT = 4.0  # the same of plain averages: two of them
-DRIVEN = 0.8  # of the velocity's power, from which a motion is the perturbation's
-NEAR_HZ = 1e-5  # an edge that is so near to a line is that line
+DRIVEN = 0.8  # of the velocity's power, from which a motion is due to the perturbation
+NEAR_HZ = 1e-5  # an edge this close to a line is that line
 # times the length of a record; beyond it the margin cannot be distinguished from 0, and no length
 # can be predicted
 FORESEEABLE = 10.0
@@ -104,15 +104,15 @@ CHANNELS_READ = "Re Z of a rigid device reads 0.2 % high at 100 Hz, 5.3 % at 500
 LEAST_TOLD = 1e-4  # of Re Z
 LOST_EDGE = "lost_edge"
 SHORT_RECORD = "short_record"
-RINGS = 8.0  # in a record, from which its calm seconds are calm and not merely early
+RINGS = 8.0  # in a record, from which calm seconds are not merely early ones
 LOUD_END = (
-    20.0  # rings in a record, from which its end leaves less than DRIVEN once in 3000 records
+    20.0  # rings in a record from which its end leaves less than DRIVEN only once in 3000 records
 )
 
 
 def sidak(confidence: float, statements: int) -> float:
-    """Confidence that each of `statements` needs so that all hold together with `confidence`.
-    AnalysisError for a confidence outside 0..1.
+    """Return the confidence that each of `statements` needs so that all hold together with
+    `confidence`. AnalysisError for a confidence outside 0..1.
     """
     if not 0.0 < confidence < 1.0:
         raise AnalysisError(f"confidence {confidence}: must lie between 0 and 1; 0.95 is usual")
@@ -120,10 +120,10 @@ def sidak(confidence: float, statements: int) -> float:
 
 
 def student_quantile(probability: float, degrees_of_freedom: float) -> float:
-    """Quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun 26.7.5),
-    1e-4 of t from nu = 18 on.
+    """Return the quantile of Student's t: Cornish-Fisher expansion in 1/nu (Abramowitz and Stegun
+    26.7.5), 1e-4 of t from nu = 18 on.
 
-    Below, where nu must be 1, 2, 3 .., it is exact. AnalysisError for any other nu below.
+    Below 18, nu must be an integer, and the quantile is exact. AnalysisError for any other nu.
     """
     if degrees_of_freedom < MANY:
         return _few(probability, degrees_of_freedom)
@@ -139,7 +139,7 @@ def student_quantile(probability: float, degrees_of_freedom: float) -> float:
 
 
 def _few(probability: float, degrees_of_freedom: float) -> float:
-    """Find the quantile by halving, as P(t) is known in closed form; tan of the angle is t /
+    """Return the quantile by bisection of the closed form P(t); tan of the angle is t /
     sqrt(nu).
     """
     nu = round(degrees_of_freedom)
@@ -168,7 +168,7 @@ def _student(angle: float, nu: int) -> float:
 
 
 def needed(seconds_needed: float, seconds: float) -> str:
-    """Say what length of record would decide where one of `seconds` did not."""
+    """Describe the record length that would decide where one of `seconds` did not."""
     if not seconds_needed <= FORESEEABLE * seconds:
         return (
             f"a record more than {FORESEEABLE:g} times as long would be needed: the margin cannot"
@@ -178,18 +178,18 @@ def needed(seconds_needed: float, seconds: float) -> str:
 
 
 def hertz(value: float) -> str:
-    """Write a frequency as a verdict names it: three digits, whole numbers from 100 Hz on."""
+    """Format a frequency as verdicts do: three digits, whole numbers from 100 Hz on."""
     return f"{value:.{2 if value < 10.0 else 1 if value < 100.0 else 0}f}"
 
 
 def two_digits(value: float) -> str:
-    """Write as much as is known of a length or a number that is predicted; never 0."""
+    """Format a predicted length or number with two digits; never 0."""
     return f"{max(1.0, float(f'{value:.2g}')):g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Least value over the band, and limits between which the true least value lies."""
+    """Minimum over the band, and limits of the true minimum."""
 
     value: float  # N s/m or deg
     lower: float  # same unit
@@ -205,7 +205,7 @@ class Margin:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """From where to where something was judged, nan where nothing was, and by what."""
+    """The judged range of frequencies, nan if nothing was judged, and the channels used."""
 
     first_hz: float
     last_hz: float
@@ -221,7 +221,7 @@ class Judged:
 
     @property
     def words(self) -> str:
-        """The same as a sentence of its own."""
+        """The same as a sentence."""
         if isnan(self.first_hz):
             return "nothing judged: all trials ran away"
         return (
@@ -247,7 +247,7 @@ class Amplitude:
 class Verdict:
     """The answer, and always with it its conditions.
 
-    "stable" without a `spectral_radius` says that no escape was seen in this record.
+    "stable" without a `spectral_radius` means that this record shows no escape.
     """
 
     answer: Answer
@@ -261,15 +261,15 @@ class Verdict:
     within_90_deg: bool  # the paper's plain rule
     stability: Stability
     amplitude: Amplitude
-    port: str  # where Z was looked at
+    port: str  # where Z was judged
     seconds: float  # length of the record
-    seconds_needed: float  # length of one like it that would decide; inf at margin 0
-    resolution_hz: float  # what is narrower was averaged with what is beside it
+    seconds_needed: float  # length of a similar one that would decide; inf at margin 0
+    resolution_hz: float  # narrower features are averaged with their surroundings
     spectral_radius: float | None = None  # of the predicted loop, if it was predicted
     energy: Energy | None = None  # None without the samples
     findings: tuple[Finding, ...] = field(default_factory=tuple)
     channels: Channels = "recorded"  # whose Re Z the margins are
-    # share by which they read Re Z of a rigid device high, at the frequency of the margin
+    # share by which they read Re Z of a rigid device high, at the margin's frequency
     reads_high: float = nan
 
     def __str__(self) -> str:
@@ -297,7 +297,7 @@ class Verdict:
 
     @property
     def judged(self) -> Judged:
-        """From where to where the verdict looked."""
+        """The judged range of frequencies."""
         return Judged(self.first_judged_hz, self.last_judged_hz, self.channels)
 
     @property
@@ -337,11 +337,11 @@ def judge(
 ) -> Verdict:
     """Judge `trial` in `band_hz`.
 
-    `record` (of `findings.examine`) brings energy, escape and saturation; `spectral_radius` is that
+    `record` (of `findings.examine`) adds energy, escape and saturation; `spectral_radius` is that
     of the predicted closed loop. `behind_mass_kg` > 0 judges the device behind the probe's mass: Re
-    Z is the same there. `channels` also looks for skew and high-pass, which takes longer than the
+    Z is the same there. `channels` also tests for skew and high-pass, which takes longer than the
     rest; simulated records have neither. `below_window` judges a band that begins below 1/(M T),
-    which is otherwise refused, by what the window makes of it.
+    which is otherwise refused, from the window's smoothed values.
 
     AnalysisError for a band below 1/(M T), above half the sample rate or without frequencies, and
     for records of fewer than 20 degrees of freedom.
@@ -394,9 +394,10 @@ def judge(
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """What the samples said, in the light of `resolved`: a motion that the perturbation explains
-    did not run away by itself, however it swells and fades. Re Z at the resonance says whether
-    it is stable. One that the ends of the record explain as well leaves that open.
+    """Revise the findings of the samples in the light of `resolved`. A motion that the perturbation
+    explains did not run away by itself, however it swells and fades; Re Z at the resonance shows
+    whether it is stable. If the ends of the record explain the motion as well, the question stays
+    open.
     """
     if not isinstance(trial, Resolved):
         return findings
@@ -409,14 +410,14 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
 
 
 def _seconds_of_rings(trial: Resolved) -> float:
-    """Length of a record that would tell a ring from a loop that runs away slowly: the share of
-    its ends falls as 1 / length.
+    """Return the record length that would separate a ring from a loop that runs away slowly: the
+    share of the ends falls as 1 / length.
     """
     return max(RINGS * trial.ring[0], (1.0 - trial.explained) / (1.0 - DRIVEN) * trial.seconds)
 
 
 def _short_record(trial: Resolved) -> Finding:
-    """Say how long a record must be to tell a ring from a loop that runs away slowly."""
+    """Return the finding with the record length that would separate a ring from a slow runaway."""
     ring_s, at_hz = trial.ring
     longer_s = _seconds_of_rings(trial)
     rings = (
@@ -433,8 +434,8 @@ def _short_record(trial: Resolved) -> Finding:
 
 
 def _lost_edges(trial: Spectra, inside: Spectra, band_hz: tuple[float, float]) -> Iterator[Finding]:
-    """Name the first edge of the band that has no power of its own, nor a line beyond it in its
-    place: what was not looked at is not called passive.
+    """Report the first edge of the band without power of its own or a line beyond it as a
+    replacement: the band is not called passive there.
     """
     for edge_hz, end_hz, inwards in zip(
         band_hz, inside.frequency_hz[[0, -1]], (1, -1), strict=True
@@ -450,12 +451,12 @@ def _lost_edges(trial: Spectra, inside: Spectra, band_hz: tuple[float, float]) -
 
 
 def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:
-    """The spectra that a verdict on `band_hz` looks at. AnalysisError as `judge`."""
+    """Return the spectra for a verdict on `band_hz`. AnalysisError as for `judge`."""
     low, high = band_hz
     if low < trial.lowest_hz and not below_window:
         raise AnalysisError(
-            f"band from {low:g} Hz: the {trial.span} says nothing below {trial.lowest_hz:.3g} Hz;"
-            " begin there, or take a longer one"
+            f"band from {low:g} Hz: the {trial.span} contains nothing below {trial.lowest_hz:.3g}"
+            " Hz; start there, or record a longer one"
         )
     least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
     if trial.degrees_of_freedom < least:
@@ -466,7 +467,7 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
     half_rate_hz = 0.5 * trial.rate_hz
     if low <= half_rate_hz and high > half_rate_hz * (1.0 + 1e-12):
         raise AnalysisError(
-            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above"
+            f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz contain nothing above"
             f" {half_rate_hz:g} Hz; end there"
         )
     if not low <= min(high, half_rate_hz) or not trial.band(band_hz).frequency_hz.size:
@@ -477,8 +478,8 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
 
 
 def half_width(coherence: Floats, degrees_of_freedom: float, level: float) -> Floats:
-    """Half of the interval of Re Z over |Z| (F,), each side at `level`, which is the sine of that
-    of the phase; inf without coherence.
+    """Return half of the interval of Re Z over |Z| (F,), each side at `level`: the sine of that of
+    the phase; inf without coherence.
     """
     freedom = degrees_of_freedom - 2.0
     return student_quantile(level, freedom) * relative_sd(coherence, freedom)
@@ -486,7 +487,7 @@ def half_width(coherence: Floats, degrees_of_freedom: float, level: float) -> Fl
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What the values of a band (F,) may be wrong by."""
+    """Possible errors of the values of a band (F,)."""
 
     chance: Floats  # N s/m, of Re Z and across Z
     bias: Complexes  # N s/m, of Z; 0 of a window's values, whose smoothing is named where it shows
@@ -494,7 +495,7 @@ class _Known:
 
 
 def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float) -> _Known:
-    """What chance at that level, each side, and the fits of `resolved` leave open."""
+    """Return the errors by chance at that level, each side, and those of the fits of `resolved`."""
     z = at_port.impedance_ns_per_m
     size = np.abs(z)
     chance = spread_of(
@@ -505,9 +506,9 @@ def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float)
 
 
 def coherence_inside(trial: Spectra, inside: Spectra) -> Floats:
-    """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
-    there side lobes of a drift may take power from the motion, and the perturbation then seems
-    to explain more of it.
+    """Return the coherence g2 (F,) of a band. At an edge between lines it is at most that of the
+    neighbouring lines: side lobes of a drift may remove power of the motion there and raise the
+    coherence.
     """
     found = inside.coherence.copy()
     if trial.whole:
@@ -519,13 +520,13 @@ def coherence_inside(trial: Spectra, inside: Spectra) -> Floats:
 
 
 def _angle_deg(half: Floats, size: Floats) -> Floats:
-    """Phase interval that belongs to +-`half` of the real part."""
+    """Return the phase interval for +-`half` of the real part."""
     share = np.divide(half, size, out=np.ones_like(half), where=half < size)
     return np.degrees(np.arcsin(share))
 
 
 def _least(values: Floats, half: Floats, frequency_hz: Floats) -> Margin:
-    """Margin of `values` known to +-`half`; a value that is not known (nan) may be anything."""
+    """Return the margin of `values` known to +-`half`; an unknown value (nan) is unbounded."""
     known = np.isfinite(values)
     lower = np.where(known, values - half, -np.inf)
     upper = np.where(known, values + half, np.inf)
@@ -561,15 +562,15 @@ def _stability(
 
 
 def _velocity_sd(trial: Spectra) -> float:
-    """Standard deviation [m/s] from the spectrum: its mean over all lines is the variance; on
-    other frequencies a trapezoid over those there are.
+    """Return the standard deviation [m/s] from the spectrum. Its mean over all lines is the
+    variance; on other frequencies a trapezoid is used.
     """
     return float(np.sqrt(2.0 * np.trapezoid(trial.velocity, trial.frequency_hz) / trial.rate_hz))
 
 
 def _seconds_needed(values: Floats, known: _Known, trial: Spectra) -> float:
-    """Length of a record that would decide: one longer by (chance / value)^2 brings the limit of a
-    value to 0; all values must be above, or one below. What is not chance stays, however long.
+    """Return the record length that would decide. A record longer by (chance / value)^2 brings the
+    limit of a value to 0; all values must be above, or one below. Bias does not fall with length.
     """
     left = np.maximum(np.abs(values) - np.abs(known.bias.real), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):

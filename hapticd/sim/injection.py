@@ -403,8 +403,8 @@ OUT_FAULTS: dict[str, Kind[OutFault]] = {
     ),
     "restart": Kind(
         _restarted,
-        "the firmware starts anew without leaving the bus; the device moves on",
-        "board time at which it begins anew [s]",
+        "the firmware restarts without leaving the bus; the device moves on",
+        "board time at which it restarts [s]",
     ),
     "hang": Kind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
     "hang_unwatched": Kind(

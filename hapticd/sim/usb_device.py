@@ -168,6 +168,6 @@ def check_traits(params: BoardParams) -> None:
     for name in BUS_TRAITS:
         if getattr(params, name):
             raise ConfigError(
-                f"simulation.{name} is of the bus within one process; a board at a true bus takes"
-                " what that has: leave it out"
+                f"simulation.{name} applies to the bus within one process; a real bus has its own"
+                " properties: remove it"
             )

@@ -1,15 +1,16 @@
-"""Studies of scenes: what accuracy costs, which effects a question needs, single runs, remedies.
+"""Studies of scenes: the cost of accuracy, the effects that a question needs, single runs,
+remedies.
 
-A study asks about the simulation itself, not about a display: how many sub-steps, which precision,
-what length of a trial and which effects an answer needs. A study is a procedure of a frozen
-plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers.
+A study concerns the simulation itself, not a display: the sub-steps, precision, length of a trial
+and effects that an answer needs. It is a procedure with a frozen plan: `plan_...` checks the
+request, `run_...` simulates and returns numbers.
 
     accuracy    plan_accuracy, run_accuracy: error against seconds for every way to run a scene;
                 cost: seconds per simulated second
     effects     EffectsParams, plan_effects, run_effects: which effects change the answer
     scene       plan_scene, run_scene: a scene with active damping and without; ceiling: the largest
                 active damping that is stable; compare_integrators: explicit methods on its device
-    remedies    RemediesParams, run_remedies: what widens the passive set of which device, and at
-                what price
+    remedies    RemediesParams, run_remedies: remedies that widen the passive set of a device, and
+                their price
     report      figures and tables of these
 """

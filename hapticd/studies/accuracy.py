@@ -1,38 +1,36 @@
-"""What accuracy costs in time, measured then and there: error against a reference over seconds, for
-every way to simulate.
+"""The computing time of accuracy, measured: error against a reference over seconds, for every way
+to simulate.
 
 tier          predict, simulate, lock-step
-sub-steps     1..32 in a 4 kHz sample: matter to friction, ends and cogging alone
+sub-steps     1..32 in a 4 kHz sample: relevant for friction, ends and cogging only
 precision     f64, f32
-trial length  5..90 s        window   256..8192 samples: only where noise moves the scene
-effect        each left out, at 1 sub-step: the difference is what counts, and its kernel compiles
+trial length  5..90 s        window   256..8192 samples: only if noise moves the scene
+effect        each left out, at 1 sub-step: the difference counts, and its kernel compiles
               soonest
 
-A comparison with the reference gives two errors of a setting. `step` is what the setting does to
-the answer for the same perturbation: the sub-step's, the precision's, a left-out effect's. `total`
-is the error of one trial that is made with it, chance or resolution included; of two settings with
-the same total the cheaper one is the better. `knee` marks the cheapest setting of a sweep
-whose total error is within 10 % of the best one's: what costs more buys little, unless it is the
-last of the sweep.
+A comparison with the reference gives two errors of a setting. `step` is the change of the answer by
+the setting for the same perturbation: by the sub-step, the precision, an omitted effect. `total` is
+the error of one trial with that setting, chance or resolution included; of two settings with the
+same total the cheaper one is better. `knee` marks the cheapest setting of a sweep whose total error
+is within 10 % of the best one's: higher cost gains little, unless it is the last of the sweep.
 
 Noise (`PhaseComparison`): phase of the impedance, rms over the band. The reference of a linear
-scene is its exact first harmonic (`model.loop`). Of any other it is simulated: a group of trials
-of the scene's length, each with a perturbation of its own, in double precision with 32 sub-steps
-per sample, their spectra added up under a window four times as long as the paper's. It is known to
-a third of the deviation of one trial, no better.
+scene is its exact first harmonic (`model.loop`). For any other scene a group of trials of the
+scene's length is simulated, in double precision with 32 sub-steps per sample. Each has a
+perturbation of its own, and their spectra are summed under a window four times as long as the
+paper's. This reference is known to a third of the deviation of one trial.
 
 A push (`PositionComparison`): position, rms over the trial, in micrometres. The reference is the
-same trial in double precision with 32 sub-steps per sample. What can be seen of a position is a
-count, so the total error holds the encoder's rounding (quantum / sqrt(12)) as well.
+same trial in double precision with 32 sub-steps per sample. The resolution of a position is a
+count, so the total error includes the encoder's rounding (quantum / sqrt(12)).
 
-The command line passes the processor time of this process (`time.process_time_ns`) to time with:
-seconds of one core, whatever else the machine does. What is timed here runs on one thread. The
-engine computes a group of trials with every instruction, so its cost is that of a full group, for
-each trial.
+The command line passes the processor time of this process (`time.process_time_ns`) as the clock:
+seconds of one core, whatever else the machine does. The timed code runs on one thread. The engine
+computes a group of trials with every instruction, so the cost of a trial is its share of a full
+group.
 
 No kernel may be compiled while it is timed (every setting is therefore computed once before).
-Limitations: another program that keeps the core's caches busy (the quickest of a few rounds
-counts).
+Limitations: another program that uses the core's caches (the fastest of a few rounds counts).
 """
 
 from abc import ABC, abstractmethod
@@ -73,7 +71,7 @@ __all__ = ["cost", "plan_accuracy", "run_accuracy"]
 ROUNDS = 3  # of timing
 LOCKSTEP_S = 20.0  # length of the trial in lock-step
 SWEPT = (1, 2, 4, 8, 16, 32)  # sub-steps in a sample
-QUICK_SUBSTEPS = (1, 4, 8)  # QUICK_...: of a coarse look
+QUICK_SUBSTEPS = (1, 4, 8)  # QUICK_...: of a coarse sweep
 LENGTHS_S = (5.0, 10.0, 20.0, 45.0, 90.0)
 QUICK_LENGTHS_S = (5.0, 10.0)
 WINDOWS = (256, 512, 1024, 2048, 4096, 8192)
@@ -83,21 +81,21 @@ QUICK_LOCKSTEP_S = 5.0
 T = TypeVar("T")
 Stopwatch = Callable[[], int]  # processor time so far [ns]
 COST_ENGINE_S = 4.0  # simulated, to time the engine
-REPEATS = 9  # the quickest counts: other programs only make it slower
+REPEATS = 9  # the fastest counts: other programs only slow it down
 ALONE_REPEATS = 3
 COST_LOCKSTEP_S = 0.5  # simulated, to time the stack in lock-step
 SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
 GROUP = LANES["f64"]  # trials of a full group where sums alone are kept
 REFERENCE_LAG = 4 * DEFAULT_LAG  # samples
-BATCH = 1000  # environments that are predicted together
+BATCH = 1000  # environments predicted together
 ANALYSED = 8  # records whose analysis is timed
 UM_PER_M = 1e6
-QUANTUM_M = 0.5e-6  # where the scene has no encoder: that of Weir 2008, section 2
-NEAR_BEST = 1.1  # a total error of so many times the best one is as good
+QUANTUM_M = 0.5e-6  # if the scene has no encoder: that of Weir 2008, section 2
+NEAR_BEST = 1.1  # total errors up to this multiple of the best count as equal
 
 
 def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
-    """(what `call` returns, seconds) of the quickest of `times` calls: the least disturbed."""
+    """Return (result of `call`, seconds) of the fastest of `times` calls, the least disturbed."""
 
     def once() -> tuple[T, float]:
         begin_ns = now_ns()
@@ -116,8 +114,8 @@ class Cost:
 
 
 def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
-    """Seconds per simulated second of one trial in a full group. The kernel is compiled before.
-    ConfigError as `simulate`.
+    """Return seconds per simulated second of one trial in a full group. The kernel is compiled
+    before. ConfigError as `simulate`.
     """
     group = [scene.environment.free] * GROUP
     simulate(scene, group, 1.0 / scene.rate_hz)
@@ -126,8 +124,8 @@ def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
 
 
 def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
-    """The cost of the engine, and of the whole stack with the device on the simulated board and
-    nothing enabled; `source` is the scene's name or file.
+    """Measure the cost of the engine, and of the whole stack with the device on the simulated board
+    and nothing enabled; `source` is the scene's name or file.
     """
     servo, board = scene_params(source)
     ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
@@ -139,7 +137,7 @@ def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a scene is simulated and judged; the defaults are those of the bench."""
+    """The settings of a simulation and its analysis; the defaults are those of the bench."""
 
     seconds: float
     substeps: int = SUBSTEPS  # in a 4 kHz sample
@@ -164,10 +162,10 @@ class AccuracyRow:
 
 
 class ReferenceComparison(ABC, Generic[T]):
-    """A scene beside its reference, which is made with the comparison, simulated as `exact` says.
+    """A scene compared with its reference, which is simulated with `exact` on creation.
 
-    T is the answer whose step error is measured; `reference` says what errors are measured against,
-    and how well that is known.
+    T is the answer whose step error is measured; `reference` describes the reference and its
+    uncertainty.
     """
 
     unit: str
@@ -185,20 +183,20 @@ class ReferenceComparison(ABC, Generic[T]):
 
     @abstractmethod
     def measure(self, setting: Setting) -> AccuracyRow:
-        """Errors of a trial. With `without`: against the whole scene as it was measured with that
-        setting, else against the reference.
+        """Measure the errors of a trial. With `without`: against the whole scene at that setting,
+        otherwise against the reference.
         """
 
     def cost(self, setting: Setting, trials: int = GROUP, repeats: int = 1) -> float:
-        """Seconds for one of `trials` together and for its answer; in a full group the setting
-        was measured before, so its kernel is compiled.
+        """Return seconds for one of `trials` together and for its answer; a full group was measured
+        before, so its kernel is compiled.
         """
         found, simulated_s = timed(self.now_ns, lambda: self._simulated(setting, trials), repeats)
         return simulated_s / trials + self._analysis_s(found, setting.lag)
 
     def lockstep(self, seconds: float) -> AccuracyRow:
-        """One trial with the whole stack; the time is that of its ticks. ConfigError or
-        AnalysisError where the scene cannot be run so: the stack begins at rest.
+        """Run one trial with the whole stack; the time is that of its ticks. ConfigError or
+        AnalysisError if the scene cannot run there: the stack begins at rest.
         """
         if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
             raise AnalysisError("the scene begins in motion, lock-step at rest")
@@ -221,7 +219,7 @@ class ReferenceComparison(ABC, Generic[T]):
         return 0.0
 
     def _basis(self, setting: Setting, answer: T, reference: T) -> T:
-        """What `answer` is compared with."""
+        """Return the value with which `answer` is compared."""
         if setting.without:
             return self._whole[replace(setting, without=())]
         self._whole[setting] = answer
@@ -278,7 +276,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         return AccuracyRow(step=step if comparable else nan, total=self._total(trials))
 
     def predicted(self) -> Iterable[AccuracyRow]:
-        """Errors and seconds of the predicted Z, and seconds of one of 1,000 environments that are
+        """Yield errors and seconds of the predicted Z, and seconds of one of 1,000 environments
         judged together.
         """
         own = self.own
@@ -298,7 +296,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         return AccuracyRow(total=self._total([spectra]))
 
     def _analysis_s(self, found: BatchResult, lag: int) -> float:
-        """Seconds that one analysis takes, on the window's own grid of frequencies."""
+        """Return the seconds of one analysis, on the window's own grid of frequencies."""
         records = [found.record(int(trial)) for trial in np.flatnonzero(~found.diverged)[:ANALYSED]]
         _, spent = timed(self.now_ns, lambda: [spa(*record, lag=lag) for record in records])
         return spent / max(1, len(records))
@@ -307,18 +305,18 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         return spectra_of(found, self._f, self.own.force_limit_n, lag)
 
     def _total(self, trials: list[Spectra]) -> float:
-        """Error of one trial: rms over trials and frequencies."""
+        """Return the error of one trial: rms over trials and frequencies."""
         errors = [phase_rms(trial.cross / trial.velocity / self._true) for trial in trials]
         return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def phase_rms(ratio: Complexes) -> float:
-    """rms phase [deg] of the ratio of two impedances (F,)."""
+    """Return the rms phase [deg] of the ratio of two impedances (F,)."""
     return float(np.degrees(np.sqrt(np.mean(np.angle(ratio) ** 2))))
 
 
 class PositionComparison(ReferenceComparison[Floats]):
-    """Errors in micrometres, of one trial: all are the same."""
+    """Errors in micrometres, of one trial: all are equal."""
 
     unit = "um"
     quantity = "position, rms over the trial"
@@ -336,9 +334,9 @@ class PositionComparison(ReferenceComparison[Floats]):
         return self._row(position - self._basis(setting, position, self._true))
 
     def _lockstep_errors(self, trial: LockStepTrial) -> AccuracyRow:
-        """The push through the wire, compared with the engine under the forces that the probe then
-        reported. The engine's ticks, counted from the force, may begin a part of a period before
-        those of the servo: `lead` samples.
+        """Return the errors of the push through the wire, compared with the engine under the forces
+        that the probe reported. The engine's ticks, counted from the force, may begin a fraction of
+        a period before those of the servo: `lead` samples.
         """
         rate_hz = self.scene.rate_hz
         part = self.own.model.delay_periods % 1.0
@@ -366,8 +364,8 @@ Comparison = PhaseComparison | PositionComparison
 
 
 def mark_knees(rows: list[AccuracyRow]) -> Iterable[AccuracyRow]:
-    """`rows` with the cheapest setting within 10 % of the best marked in every sweep but that of
-    effects.
+    """Yield `rows` with the cheapest setting within 10 % of the best marked in every sweep but that
+    of effects.
     """
     chosen = {
         sweep: cheapest_near_best([row for row in rows if row.sweep == sweep])
@@ -378,8 +376,8 @@ def mark_knees(rows: list[AccuracyRow]) -> Iterable[AccuracyRow]:
 
 
 def cheapest_near_best(rows: Iterable[AccuracyRow]) -> AccuracyRow | None:
-    """The cheapest of `rows` whose total error is within 10 % of the least; None if none was
-    measured.
+    """Return the cheapest of `rows` whose total error is within 10 % of the minimum; None if none
+    was measured.
     """
     known = [row for row in rows if not isnan(row.seconds) and row.total < inf]  # nan is not less
     if not known:
@@ -390,7 +388,7 @@ def cheapest_near_best(rows: Iterable[AccuracyRow]) -> AccuracyRow | None:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyPlan:
-    """What will be measured."""
+    """The planned measurements."""
 
     scene: Scene
     source: str | Path  # the scene's name or file, for the trial in lock-step
@@ -402,12 +400,12 @@ class AccuracyPlan:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyResult:
-    """All rows, and what their errors are."""
+    """All rows, and the meaning of their errors."""
 
     plan: AccuracyPlan
     unit: str  # of the errors
     quantity: str
-    reference: str  # what errors are measured against
+    reference: str  # reference of the errors
     rows: tuple[AccuracyRow, ...]
 
     def sweep(self, name: str) -> tuple[AccuracyRow, ...]:
@@ -421,7 +419,7 @@ class AccuracyResult:
 
 
 def plan_accuracy(scene: Scene, source: str | Path, quick: bool = False) -> AccuracyPlan:
-    """The sweeps that the scene calls for; `quick`: a coarse look in seconds. An effect is compared
+    """Return the sweeps for the scene; `quick`: a coarse set, in seconds. An effect is compared
     with the whole scene at 1 sub-step, which therefore comes before.
     """
     noise = scene.excitation.kind == "noise"
@@ -462,8 +460,8 @@ def run_accuracy(plan: AccuracyPlan, now_ns: Stopwatch, tell: Progress = silent)
 
 
 def _swept(plan: AccuracyPlan, comparison: Comparison, steps: Steps) -> list[AccuracyRow]:
-    """Errors first; then all are timed in turn, round by round, so that what disturbs the
-    machine meets them alike.
+    """Measure the errors first, then time all settings in turn, round by round, so that
+    disturbances affect them alike.
     """
     rows: dict[Setting, AccuracyRow] = {}
     for sweep, label, setting in plan.wanted:
@@ -484,7 +482,7 @@ def _swept(plan: AccuracyPlan, comparison: Comparison, steps: Steps) -> list[Acc
 
 
 def _row(read: Callable[[], AccuracyRow]) -> AccuracyRow:
-    """What is measured, or why it cannot be."""
+    """Return the measured row, or the reason why it cannot be measured."""
     try:
         return read()
     except HapticdError as error:

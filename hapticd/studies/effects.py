@@ -1,27 +1,27 @@
-"""Which effects a question needs: leaves them out one at a time, compares the answers, and
+"""The effects that a question needs: leaves them out one at a time, compares the answers, and
 proposes the cheapest set that gives the answer of the whole scene.
 
-Linear effects are judged by prediction, which has no noise, others by simulation. All that alone
-change the answer by less than the tolerance are then left out together, the least important first,
-as long as prediction agrees; the rest is simulated against the whole scene, and the most important
-one comes back until that agrees as well.
+Linear effects are judged by prediction, which has no noise, others by simulation. Effects that
+alone change the answer by less than the tolerance are then left out together, the least important
+first, as long as prediction agrees. The rest is simulated against the whole scene, and the most
+important omitted effect is restored until that agrees as well.
 
 A set of effects is judged by one quantity, predicted (first harmonic, friction linearised: no
 noise) and simulated (the engine, with the same perturbation for every set of effects, so that
 differences are those of the effects):
 
-    limits   of K, B and M, each from 0 on (`zwidth.limits`); change: the largest relative one
+    limits   of K, B and M, each from 0 (`zwidth.limits`); change: the largest relative one
     phase    of Z under the scene's environment; change: the largest difference in the band over 90
              degrees
     peak     highest |Z| between 40 and 200 Hz near the most negative passive mass, which owns the
              peak of Weir 2008, Fig. 8, and its frequency; change: the larger relative one of the
              two
 
-A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
+A scene without noise gets the paper's perturbation. Walls are left out, because they have no
 impedance of their own.
 
 Answers must be simulated with the same perturbations: their difference is otherwise chance.
-Limitations: effects that hide each other, which is why the proposal is simulated as a whole.
+Limitations: effects that mask each other, which is why the proposal is simulated as a whole.
 """
 
 from collections.abc import Callable, Iterable
@@ -61,7 +61,7 @@ LIMITS = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}  # factors from SI units
 PEAK = {"peak N s/m": 1.0, "at Hz": 1.0}
 FINE = 1e-3  # relative error of a limit: a change of 1 % must be seen
 INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial may run away
-# relative change, 0.02 is 2 %, inf where only one of two numbers exists; numbers by name
+# relative change, 0.02 is 2 %, inf if only one of two numbers exists; numbers by name
 Compared = tuple[float, dict[str, float]]
 
 
@@ -77,9 +77,11 @@ class EffectsParams:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """How one question is answered. `values`: the numbers for a scene with some of its effects,
-    PREDICTED or SIMULATED. `compare` tells how much such numbers change against those of the whole
-    scene, and gives them by name with unit.
+    """The evaluation of one question.
+
+    `values`: the numbers for a scene with some of its effects, PREDICTED or SIMULATED. `compare`
+    returns the change of such numbers from those of the whole scene, and the numbers by name with
+    unit.
     """
 
     values: Callable[[EffectsParams, Scene, str], Floats]
@@ -93,7 +95,7 @@ def impedance(
     frequency_hz: Floats,
     method: str,
 ) -> Complexes:
-    """Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
+    """Return Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
     own = display(scene, noise(params.scene))
     if method == PREDICTED:
         return predicted_impedance(
@@ -114,7 +116,7 @@ def impedance(
 
 
 def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """The limits of K [N/m], B [N s/m] and M [kg] < 0; nan where K = B = M = 0 is not passive."""
+    """Return limits of K [N/m], B [N s/m] and M [kg] < 0; nan if K = B = M = 0 is not passive."""
     given = Conditions(scene, params.seconds, noise(params.scene))
     plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
     if method == PREDICTED:
@@ -123,15 +125,15 @@ def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
 
 
 def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """Phase [deg] (F,) of Z under the scene's environment."""
+    """Return the phase [deg] (F,) of Z under the scene's environment."""
     return np.degrees(
         np.angle(impedance(params, scene, params.scene.environment.free, frequencies(), method))
     )
 
 
 def peak(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """Height [N s/m] and frequency [Hz] (2,) of the highest maximum of |Z|, with a mass near the
-    limit of the whole scene. Without a maximum inside the band the largest |Z|, and nan.
+    """Return height [N s/m] and frequency [Hz] (2,) of the highest maximum of |Z|, with a mass near
+    the limit of the whole scene. Without a maximum inside the band the largest |Z|, and nan.
     """
     f = frequencies(PEAK_HZ, count=1000)
     size = np.abs(impedance(params, scene, (0.0, 0.0, peak_mass_kg(params)), f, method))
@@ -145,7 +147,7 @@ def peak(params: EffectsParams, scene: Scene, method: str) -> Floats:
 
 @cache
 def peak_mass_kg(params: EffectsParams) -> float:
-    """The mass that is rendered for the peak. AnalysisError if no mass owns one."""
+    """Return the rendered mass for the peak. AnalysisError if no mass owns one."""
     mass_kg = float(limits(params, params.scene, PREDICTED)[2])
     if not mass_kg < 0.0:
         raise AnalysisError(
@@ -156,15 +158,15 @@ def peak_mass_kg(params: EffectsParams) -> float:
 
 
 def compare_each(names: dict[str, float], full: Floats, other: Floats) -> Compared:
-    """Numbers that stand by themselves, by `names` with their factors: the largest relative
-    change, and the others.
+    """Compare independent numbers, by `names` with their factors: return the largest relative
+    change, and the other numbers.
     """
     change = max(relative(one, two) for one, two in zip(full, other, strict=True))
     return change, dict(zip(names, (other * [*names.values()]).tolist(), strict=True))
 
 
 def compare_phase(full: Floats, other: Floats) -> Compared:
-    """The largest difference of phase, over 90 degrees; it, and its frequency."""
+    """Return the largest phase difference over 90 degrees, that difference, and its frequency."""
     turned = (other - full + 180.0) % 360.0 - 180.0
     worst = int(np.argmax(np.abs(turned)))
     numbers = {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
@@ -179,8 +181,8 @@ QUESTIONS = {
 
 
 def relative(full: float, other: float) -> float:
-    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where neither
-    does, or both are the same.
+    """Return the change of `other` from `full`: inf if only one of them exists (nan), 0 if neither
+    does, or both are equal.
     """
     if full == other:
         return 0.0
@@ -195,7 +197,7 @@ def relative(full: float, other: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class EffectsPlan:
-    """Which effects are left out, and how each is judged."""
+    """The effects to leave out, and the method for each."""
 
     params: EffectsParams
     methods: dict[str, str]  # of an effect's key: PREDICTED or SIMULATED
@@ -215,7 +217,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class EffectsResult:
-    """What leaving effects out does to the answer, and the proposal."""
+    """The change of the answer without each effect, and the proposal."""
 
     plan: EffectsPlan
     whole: tuple[LeftOut, LeftOut]  # the whole scene, predicted and simulated
@@ -225,8 +227,8 @@ class EffectsResult:
 
 
 def plan_effects(params: EffectsParams) -> EffectsPlan:
-    """What will be left out, and how that is judged. ConfigError for an unknown question;
-    AnalysisError if the scene does not answer it.
+    """Choose the effects to leave out, and the method for each. ConfigError for an unknown
+    question; AnalysisError if the scene does not answer it.
     """
     if params.question not in QUESTIONS:
         raise ConfigError(f"question {params.question!r}: use one of {', '.join(QUESTIONS)}")
@@ -253,7 +255,7 @@ def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -
 
 
 class _Study:
-    """One run, which remembers the answer and the cost of every set of effects."""
+    """One run, which caches the answer and the cost of every set of effects."""
 
     def __init__(self, plan: EffectsPlan, steps: Steps, now_ns: Stopwatch) -> None:
         self.steps = steps
@@ -266,7 +268,7 @@ class _Study:
         self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
 
     def leave_out(self, keys: tuple[str, ...], method: str) -> LeftOut:
-        """The scene without `keys`; the whole scene if there are none."""
+        """Evaluate the scene without `keys`; the whole scene if there are none."""
         words = ", ".join(keys)
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
         full = self._values((), method)
@@ -277,7 +279,7 @@ class _Study:
         return LeftOut(words, method, numbers, change, self._cost(keys))
 
     def proposal(self, rows: list[LeftOut]) -> tuple[tuple[str, ...], LeftOut]:
-        """The effects that are kept, and their row; all of them where there is no answer."""
+        """Return the kept effects, and their row; all of them if there is no answer."""
         tolerance = self._plan.params.tolerance
         droppable = [row.effect for row in rows if row.change <= tolerance]
         answered = np.isfinite(self._values((), PREDICTED)).any()
@@ -290,7 +292,7 @@ class _Study:
         return kept, replace(found, effect=", ".join(kept))
 
     def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
-        """Those of `keys`, the least important first, that prediction leaves out together."""
+        """Return those of `keys`, least important first, that prediction omits together."""
         full = self._values((), PREDICTED)
         dropped: tuple[str, ...] = ()
         for key in keys:

@@ -1,12 +1,12 @@
-"""What studies of a scene found, as figures, tables and sentences: its traces and impedance, what
-is simulated and why, which effects a question needs, what accuracy costs in time, where explicit
-methods blow up, and what remedies gain.
+"""Figures, tables and sentences of studies of a scene: its traces and impedance, its model
+explained, the effects that a question needs, the computing time of accuracy, the instability of
+explicit methods, and the gain of remedies.
 
-One section a study: figure, table and sentences of the same result stand together. Lines and
-colours are those of `zwidth.report.style`: with active damping solid, without it dashed.
+There is one section per study: figure, table and sentences of the same result. Lines and colours
+are those of `zwidth.report.style`: solid with active damping, dashed without.
 
-Limitations: an error of 0 on a logarithmic axis. Those that are none are drawn below all others and
-called exact; a change that is out of range is drawn at the end of its axis.
+Limitations: an error of 0 on a logarithmic axis. Zero errors are drawn below all others and called
+exact; a change out of range is drawn at the end of its axis.
 """
 
 from collections.abc import Sequence
@@ -98,9 +98,9 @@ TITLES = {
 }
 SWEEPS = ("tier", "sub-steps", "precision", "trial length", "window")
 WAYS = ("v", "^", "s", "o", "D", "P")
-FEWEST_BARS = 8  # that an axis has room for, however few there are
+FEWEST_BARS = 8  # minimum room on an axis, in bars
 TIMES = ((1.0,), (1.0, 3.0), *FINE)  # digits of ticks: their words are long
-NOTHING = 1e-6  # of the worst error: what is less is none
+NOTHING = 1e-6  # of the worst error: smaller errors count as 0
 DEFAULT: Look = {
     "marker": "o",
     "markersize": 12,
@@ -108,26 +108,24 @@ DEFAULT: Look = {
     "color": BLACK,
     "linestyle": "",
 }
-CHEAPEST = "cheapest setting within 10 % of the best"  # what `knee` marks
+CHEAPEST = "cheapest setting within 10 % of the best"  # label of `knee`
 KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
 METHODS = {
     "exact": ("exact map", BLUE, "o"),
     "rk4": ("Runge-Kutta 4", GREEN, "s"),
     "euler": ("explicit Euler", RED, "^"),
 }
-# lowest error drawn; where those without an answer are drawn
+# lowest error drawn; position of those without an answer
 SMALLEST = 1e-16
 GONE = 3.0
 
 
-# --- a scene that was run -------------------------------------------------------------------------
+# --- the run of a scene ---------------------------------------------------------------------------
 
 
 @styled()
 def scene_figure(result: SceneResult, width_mm: float | None = None) -> Figure:
-    """Traces; beside them |Z| and phase where the scene is moved by noise. ConfigError without
-    matplotlib.
-    """
+    """Draw traces, and |Z| and phase if noise moves the scene. ConfigError without matplotlib."""
     drawn = _with_impedance if result.plan.impedance else _traces_alone
     return drawn(result, width_mm)
 
@@ -163,7 +161,7 @@ def _draw_impedance(size: Axes, phase: Axes, trial: SceneTrial, look: Look) -> N
 
 
 def _traces_alone(result: SceneResult, width_mm: float | None) -> Figure:
-    """With the steps of damping, and the temperature of a winding that warms up."""
+    """Draw the traces with the steps of damping, and the temperature of a winding that warms up."""
     panels = _traces(result, (0.0, result.plan.seconds))
     pairs = list(zip(result.trials, STYLES, strict=True))
     panels.append(
@@ -221,7 +219,7 @@ def _traces(result: SceneResult, span_s: tuple[float, float]) -> list[tuple[str,
 
 
 def scene_table(result: SceneResult) -> Table:
-    """One row for each trial; a verdict where noise moves the scene, a temperature where its
+    """Return one row for each trial; a verdict if noise moves the scene, a temperature if its
     winding warms up.
     """
     heated = any(trial.winding_c for trial in result.trials)
@@ -251,7 +249,7 @@ def _ran(trial: SceneTrial, impedance: bool, heated: bool) -> dict[str, Cell]:
 
 
 def impedance_rows(trial: SceneTrial) -> list[dict[str, float]]:
-    """|Z| and phase, measured and predicted, on a few frequencies of the band; empty without
+    """Return |Z| and phase, measured and predicted, at a few frequencies of the band; empty without
     noise.
     """
     if trial.judged is None or trial.judged.predicted is None:
@@ -275,12 +273,12 @@ def impedance_rows(trial: SceneTrial) -> list[dict[str, float]]:
     ]
 
 
-# --- what is simulated, and why -------------------------------------------------------------------
+# --- the model explained --------------------------------------------------------------------------
 
 
 def explained(found: Explanation) -> tuple[Table, ...]:
-    """The states; why every effect is there, what it adds and how fast it is; the time constants of
-    the device as a whole at each damping level of the scene; every number with its source.
+    """Return the states; the purpose, additions and speed of every effect; the time constants of
+    the whole device at each damping level of the scene; every number with its source.
     """
     states = [
         [str(place), state.name, state.unit, state.effect]
@@ -334,7 +332,7 @@ def _mode(at: AtLevel, place: int) -> tuple[str, str, str]:
 
 
 def step_words(found: Explanation, scene: Scene, substeps: int) -> list[str]:
-    """Step, delay and rates."""
+    """Describe step, delay and rates."""
     step_s = 1.0 / (PROBE_RATE_HZ * substeps)
     delay = duration(found.delay_s) if found.delay_s else "no delay"
     nonlinear = ", ".join(effect for effect, _ in found.nonlinearities) or "nothing"
@@ -352,7 +350,7 @@ def step_words(found: Explanation, scene: Scene, substeps: int) -> list[str]:
 
 
 def cost_words(found: Cost) -> list[str]:
-    """What a simulated second takes."""
+    """Describe the cost of a simulated second."""
     engine, lockstep = (
         f"{duration(each)} ({1.0 / each:,.0f} x real time)"
         for each in (found.engine_s, found.lockstep_s)
@@ -365,7 +363,7 @@ def cost_words(found: Cost) -> list[str]:
 
 
 def ceiling_words(found: Ceiling) -> list[str]:
-    """The limits of active damping."""
+    """Describe the limits of active damping."""
     device = (
         "no limit, the device alone is stable at any active damping"
         if isinf(found.device)
@@ -390,7 +388,7 @@ def ceiling_words(found: Ceiling) -> list[str]:
 
 
 def ceiling_table(found: Ceiling) -> Table:
-    """The ceiling over the winding's temperature."""
+    """Return the ceiling over the winding's temperature."""
     rows = [
         [f"{kelvin:+g} K", *("none" if isinf(level) else shown(level) for level in levels)]
         for kelvin, *levels in found.warmer
@@ -402,7 +400,7 @@ def ceiling_table(found: Ceiling) -> Table:
 
 
 def effects_table(result: EffectsResult) -> Table:
-    """The whole scene, every effect left out, and the proposal."""
+    """Return the whole scene, every effect left out, and the proposal."""
     names = list(result.whole[0].numbers)
     rows = [
         *(("all effects", row) for row in result.whole),
@@ -423,7 +421,7 @@ def effects_table(result: EffectsResult) -> Table:
 
 
 def effects_words(result: EffectsResult) -> str:
-    """The proposal."""
+    """Describe the proposal."""
     params = result.plan.params
     kept = result.kept
     if all(isnan(number) for number in result.whole[0].numbers.values()):
@@ -449,7 +447,7 @@ def effects_words(result: EffectsResult) -> str:
 
 @styled()
 def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figure:
-    """Change of the answer, effect by effect. ConfigError without matplotlib."""
+    """Draw the change of the answer, effect by effect. ConfigError without matplotlib."""
     params = result.plan.params
     rows = result.rows[::-1]
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
@@ -489,7 +487,7 @@ def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figu
 def _bars(
     axis: Axes, names: list[str], values: list[float], labels: list[str], **look: Any
 ) -> None:
-    """One for each effect on a logarithmic axis, from below, with its label beside it."""
+    """Draw one bar for each effect on a logarithmic axis, from below, with its label."""
     bars = axis.barh(
         range(len(names)),
         values,
@@ -509,11 +507,11 @@ def _changed(row: LeftOut) -> str:
     return "the answer is gone" if row.change == inf else changed(row.change)
 
 
-# --- what accuracy costs in time ------------------------------------------------------------------
+# --- the computing time of accuracy ---------------------------------------------------------------
 
 
 def accuracy_table(result: AccuracyResult) -> Table:
-    """Every setting that was measured."""
+    """Return every measured setting."""
     errors = f"setting's error {result.unit}", f"total error {result.unit}"
     rows: list[list[Cell]] = []
     for row in result.rows:
@@ -525,7 +523,9 @@ def accuracy_table(result: AccuracyResult) -> Table:
 
 
 def accuracy_words(result: AccuracyResult) -> list[str]:
-    """What the defaults buy, and the cheapest setting of each sweep within 10 % of its best."""
+    """Describe the errors of the defaults, and the cheapest setting of each sweep within 10 % of
+    its best.
+    """
     default = result.default
     window = ", window 2048" if result.plan.noise else ""
     defaults = f"{result.plan.exact.seconds:g} s, {SUBSTEPS} sub-steps, f64{window}"
@@ -559,8 +559,8 @@ def _cheapest(result: AccuracyResult, sweep: str) -> str:
 
 @styled()
 def accuracy_figure(result: AccuracyResult, width_mm: float | None = None) -> Figure:
-    """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
-    without matplotlib.
+    """Draw error over seconds, a panel for each sweep, and the effect of leaving an effect out.
+    ConfigError without matplotlib.
     """
     noise = result.plan.noise
     scene = result.plan.scene
@@ -589,7 +589,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     ways = sweep == "tier"
     least = 0.3 * min(
         total for total in known if total >= NOTHING * max(known)
-    )  # errors that are none are drawn below all others
+    )  # zero errors are drawn below all others
     labels = [f"{row.label} (exact)" if row.total < least else row.label for row in rows]
     places = [(row.seconds, max(row.total, least)) for row in rows]
     if ways:
@@ -625,7 +625,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
 
 
 def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:
-    """Draw the errors of the sub-step alone, and single precision beside it."""
+    """Draw the errors of the sub-step alone, and single precision."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
     single = [row for row in result.sweep("precision") if row.dtype == "f32" and row.total < inf]
     axis.plot(
@@ -645,7 +645,7 @@ def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axe
 
 
 def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
-    """What leaving an effect out does to the answer, beside the error of one trial."""
+    """Draw the change of the answer without each effect, and the error of one trial."""
     rows = sorted(result.sweep("effect"), key=lambda row: row.step)
     own = result.default.total
     worst = max([*(row.step for row in rows if row.step < inf), own])
@@ -667,13 +667,13 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     )
 
 
-# --- explicit methods beside the exact map --------------------------------------------------------
+# --- explicit methods and the exact map -----------------------------------------------------------
 
 
 @styled()
 def integrators_figure(found: Integrators, title: str, width_mm: float | None = None) -> Figure:
-    """Error over steps per millisecond; crosses where nothing is left of the answer. ConfigError
-    without matplotlib.
+    """Draw error over steps per millisecond; crosses where the answer is lost. ConfigError without
+    matplotlib.
     """
     figure, (axis,) = axes(1, 1, 8.0, 4.8, title, width_mm=width_mm)
     for method, (name, colour, marker) in METHODS.items():
@@ -710,7 +710,7 @@ def integrators_figure(found: Integrators, title: str, width_mm: float | None = 
 
 
 def remedies_table(rows: Sequence[Row]) -> Table:
-    """Every device with every remedy: by theory, then by trials where they were made."""
+    """Return every device with every remedy: by theory, then by trials if there are any."""
     hertz = ", ".join(f"{hz:g}" for hz in RENDERED_HZ)
     columns = [
         "device", "remedy", "ticks/s", "corner Hz", "K at B = 0", "best B", "K at best B", "volume",

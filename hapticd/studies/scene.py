@@ -1,19 +1,19 @@
-"""A scene by itself: run it with active damping and without, find the largest active damping that
-is stable, and compare explicit integrators on its device.
+"""A single scene: run it with active damping and without, find the largest stable active damping,
+and compare explicit integrators on its device.
 
 Both trials of a run get the same perturbation. A scene without damping steps of its own is compared
-with the level that `damping on` means. The temperature of a winding that warms up is found by
-trials of growing length, since a trial gives it at its end.
+with the level of `damping on`. The temperature of a winding that warms up comes from trials of
+growing length, because a trial reports it only at its end.
 
-The largest active damping of the device, and the largest with the scene's environment around it,
-are edges of stability found by bisection on eigenvalues: of the open device in continuous time
-(`model.stability`), and of the exact map of one servo tick (`model.loop`), Coulomb friction left
-out. Above the first the analog circuit oscillates whatever the servo does. The second is a range:
-too little damping can be unstable as well. What limits the device is its resistance compensation
-(Weir, Colgate and Peshkin 2008, section 5): a winding colder than it assumes leaves a ceiling of
-K^2 / dR, a hot one may leave none. So the same is computed for a range of winding temperatures.
+The largest active damping of the device is found by bisection on the eigenvalues of the open device
+in continuous time (`model.stability`). The largest with the scene's environment uses those of the
+exact map of one servo tick (`model.loop`), without Coulomb friction. Above the first the analog
+circuit oscillates whatever the servo does. The second is a range, because too little damping can be
+unstable as well. The resistance compensation limits the device (Weir, Colgate and Peshkin 2008,
+section 5): a winding colder than assumed leaves a ceiling of K^2 / dR, a hot one may leave none.
+The ceiling is therefore computed for a range of winding temperatures.
 
-Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear device of the scene:
+Explicit Euler and Runge-Kutta 4 are compared with the exact map, on the linear device of the scene:
 
     exact   x(t + h) = e^(A h) x(t)                     any h
     euler   R(z) = 1 + z                                |R(h lambda)| <= 1 for every eigenvalue
@@ -21,10 +21,10 @@ Explicit Euler and Runge-Kutta 4 stand beside the exact map, on the linear devic
     rk4     R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24       the same; about h < 2.79 / |lambda| for a
                                                         real one
 
-Electronics of microseconds decide the step, whether or not they matter: 5 kHz of amplifier
-bandwidth ask RK4 for a step below 88 us although the answer is spoken in milliseconds. A device
-that is let go with all bodies at one speed, over 20 ms; the error is that of the state, each
-coordinate over its largest value on the way.
+Electronics of microseconds determine the step, whether or not they matter: 5 kHz of amplifier
+bandwidth require a step below 88 us for RK4, although the answer is on a scale of milliseconds. The
+device is released with all bodies at one speed, for 20 ms. The error is that of the state, each
+coordinate over its largest value.
 
 Limitations: a range of stable levels with a gap in it, narrower than the scan that begins the
 bisection (`SCAN` levels).
@@ -64,13 +64,13 @@ __all__ = ["SceneResult", "SceneTrial", "ceiling", "compare_integrators", "plan_
 TEMPERATURES = 12  # of a winding that warms up, at equal distances of time
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
 HIGHEST_NS_PER_M = 1e6  # a device that is stable up to here has no ceiling
-SCAN = 400  # levels at which the loop is tried before bisection
+SCAN = 400  # levels of the loop before bisection
 WARMER_K = (-40.0, -20.0, -10.0, -5.0, 0.0, 10.0, 40.0)
 STEPS_PER_MS = tuple(2**k for k in range(12))
 SPAN_MS = 20  # at the end of each millisecond the error is taken
 SPEED_M_PER_S = 0.1
-BLOWN_UP = 1.0  # error beyond which nothing is left of the answer
-ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the power series; the exact map is no series
+BLOWN_UP = 1.0  # error beyond which the answer is lost
+ORDERS = {"exact": 0, "rk4": 4, "euler": 1}  # of the power series; the exact map is not a series
 LONGEST_S = 1.0  # steps up to here are tried
 DRIFT = 1e-6  # of the fastest pole: a slower one only drifts
 
@@ -84,12 +84,12 @@ class DampingCase:
 
     name: str
     active_damping: DampingSteps
-    own: bool  # as the scene file says
+    own: bool  # from the scene file
 
 
 @dataclass(frozen=True, slots=True)
 class ScenePlan:
-    """What will be simulated."""
+    """The planned simulation."""
 
     scene: Scene
     seconds: float
@@ -120,14 +120,14 @@ class SceneTrial:
 
 @dataclass(frozen=True, eq=False)
 class SceneResult:
-    """What was simulated."""
+    """The simulated trials."""
 
     plan: ScenePlan
     trials: tuple[SceneTrial, ...]  # the undamped one first; the scene's own is among them
 
 
 def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
-    """Two cases: without active damping and with it. `seconds` None: the scene's own."""
+    """Plan two cases: without active damping and with it. `seconds` None: the scene's own."""
     own = tuple((step.at_s, step.level_ns_per_m) for step in scene.active_damping)
     damped = level(scene) > 0.0
     cases = (
@@ -202,8 +202,8 @@ def _temperatures(
 
 @dataclass(frozen=True, slots=True)
 class Ceiling:
-    """The largest active damping that is stable. The device alone is stable up to `device`; with
-    the scene's environment the loop is stable from `lowest` to `highest`.
+    """The largest stable active damping. The device alone is stable up to `device`; with the
+    scene's environment the loop is stable from `lowest` to `highest`.
     """
 
     device: float  # N s/m; inf: always stable
@@ -213,13 +213,12 @@ class Ceiling:
     scene: float  # N s/m, the scene's own level
     loop_gain: float  # g dR / K^2 at that level
     bounded: float  # N s/m that keeps the loop gain above LEAST_LOOP_GAIN, at most `device`
-    # (winding minus what the compensation assumes [K], `device` and `bounded` then); empty without
-    # a winding
+    # (winding minus assumed temperature [K], `device` and `bounded` then); empty without a winding
     warmer: tuple[tuple[float, float, float], ...]
 
 
 def ceiling(scene: Scene) -> Ceiling:
-    """The ceiling of a scene, whether or not its own level is stable. ConfigError as
+    """Return the ceiling of a scene, whether or not its own level is stable. ConfigError as
     `compose_device`, or for a shorted motor.
     """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
@@ -250,13 +249,15 @@ def _finite(level_ns_per_m: float) -> float:
 
 
 def _bounded(model: Model, top_ns_per_m: float) -> float:
-    """The level at which an over-compensated winding comes to LEAST_LOOP_GAIN, at most `top`."""
+    """Return the level at which an over-compensated winding reaches LEAST_LOOP_GAIN, up to
+    `top`.
+    """
     per_level = model.level_gain * model.residual_ohm / model.torque_constant_n_per_a**2
     return min(top_ns_per_m, LEAST_LOOP_GAIN / per_level) if per_level < 0.0 else top_ns_per_m
 
 
 def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> tuple[float, float]:
-    """The ceiling and its bound with the winding `kelvin` above what is compensated."""
+    """Return the ceiling and its bound with the winding `kelvin` above its compensation."""
     other = replace(own, temperature_c=own.compensated_c + kelvin)
     effects = tuple(other if effect is own else effect for effect in scene.effects)
     model = compose_device(scene.name, effects, scene.rate_hz)
@@ -265,7 +266,7 @@ def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> tuple[float
 
 
 def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
-    """(lowest, highest) level at which the sampled loop is stable; nan if it never is."""
+    """Return (lowest, highest) level at which the sampled loop is stable; nan if it never is."""
 
     def stable(level_ns_per_m: float) -> bool:
         return bool(
@@ -298,7 +299,7 @@ class Integrators:
 
 
 def compare_integrators(scene: Scene) -> Integrators:
-    """Compare them on the scene's device at its highest active damping. ConfigError as
+    """Compare the methods on the scene's device at its highest active damping. ConfigError as
     `compose`.
     """
     model = compose(scene)
@@ -325,7 +326,7 @@ def compare_integrators(scene: Scene) -> Integrators:
 
 
 def _error(millisecond: Array, start: Floats, true: Floats) -> float:
-    """The largest error of any coordinate, over its largest value on the way."""
+    """Return the largest error of any coordinate, over its largest value."""
     size = np.abs(true).max(axis=0)
     error = float(
         (np.abs(_marks(millisecond, start) - true) / np.where(size == 0.0, 1.0, size)).max()
@@ -334,7 +335,7 @@ def _error(millisecond: Array, start: Floats, true: Floats) -> float:
 
 
 def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The matrix that one step of a method multiplies the state with; `ah` is A h."""
+    """Return the matrix of one step of a method; `ah` is A h."""
     if method == "exact":
         return expm(ah)
     matrix = term = np.eye(len(ah))
@@ -345,14 +346,14 @@ def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _marks(millisecond: Array, start: Floats) -> Floats:
-    """(SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
+    """Return (SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
     one.
     """
     return np.array([matrix_power(millisecond, count) @ start for count in range(1, SPAN_MS + 1)])
 
 
 def _longest(method: str, poles: Complexes) -> float:
-    """The largest step at which no mode grows; inf for a device that only drifts."""
+    """Return the largest step at which no mode grows; inf for a device that only drifts."""
     if method == "exact" or not poles.any():
         return inf
     moving = np.abs(poles) > DRIFT * np.abs(poles).max()  # drift neither grows nor decays

@@ -1,25 +1,25 @@
-"""What a board says of itself against what its device file says.
+"""Compare the hello of a board with its device file.
 
-The hello reply carries nominal full scales, limits and capabilities; the device file carries the
-calibrated ones, and everything else is computed from those. A board of another range, or another
-board altogether, is off by far more than a calibration corrects, and every newton that the servo
-computes for it is wrong. So
+The hello reply contains nominal full scales, limits and capabilities. The device file contains the
+calibrated ones, from which everything else is computed. A board of another range, or another board,
+differs by far more than a calibration corrects, and every computed force would be wrong. Allowed
+differences:
 
-    a scale that somebody typed   may differ by a tenth
-    a scale that was measured     (by `hapticd rig`, at this board) by a factor of MOST_CORRECTION:
-                                  nominal scales are guesses of whoever wrote the firmware, and a
-                                  wrong unit or range is a factor of 2 at least
-    the force limit               the same, but upwards never by more than a tenth: the board clamps
+    a scale that was typed in     a tenth
+    a scale that was measured     (by `hapticd rig`, on this board) a factor of MOST_CORRECTION:
+                                  nominal scales are estimates of the firmware's author, and a wrong
+                                  unit or range is a factor of at least 2
+    the force limit               the same, but never more than a tenth upwards: the board clamps
                                   counts, so with a motor of 0.8 its 8 N are 6.4 N
-    serial number                 not at all
-    capabilities                  those that the file relies on have to be there
-    firmware                      that with which somebody saw the signs: another one may have
-                                  others, and has to be looked at again
+    serial number                 none
+    capabilities                  those required by the file must be present
+    firmware                      the one with which the signs were verified; another may have other
+                                  signs, which must be verified again
 
-NaN never agrees. And the rate has to carry what the board samples (`probe_shortage`).
+NaN never agrees. The rate must also be high enough for the board's samples (`probe_shortage`).
 
-Limitations: a scale of the wire that the hello reply does not carry (back-EMF velocity,
-temperature); a nominal scale that is wrong by the very factor by which a step's mass is mistyped.
+Limitations: a scale that the hello reply does not contain (back-EMF velocity, temperature); a
+nominal scale that is wrong by the same factor as a mistyped mass of a step.
 """
 
 from math import ceil
@@ -32,11 +32,11 @@ from hapticd.usb.frames import PAIR_MAX, Capability, HelloFrame
 
 __all__ = ["differences", "probe_shortage"]
 
-TOLERANCE = 0.1  # of the device file's number, where nobody measured it
+TOLERANCE = 0.1  # of the device file's number, if it was not measured
 
 
 class Range(NamedTuple):
-    """What the board's number may be, over the device file's."""
+    """The allowed ratio of the board's number to the device file's."""
 
     lowest: float
     highest: float
@@ -47,7 +47,7 @@ MEASURED = Range(1.0 / MOST_CORRECTION, MOST_CORRECTION)
 
 
 class Stated(NamedTuple):
-    """One number as both state it, in `unit`."""
+    """One number in both sources, in `unit`."""
 
     name: str
     by_board: float
@@ -57,7 +57,9 @@ class Stated(NamedTuple):
 
 
 def differences(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
-    """One phrase for each contradiction between a board and its device file; () if they agree."""
+    """Return one phrase for each contradiction between a board and its device file; () if they
+    agree.
+    """
     numbers = tuple(
         f"{one.name}: the board says {one.by_board:.6g} {one.unit}, the device file"
         f" {one.by_file:.6g} {one.unit}"
@@ -73,8 +75,8 @@ def differences(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
 
 
 def probe_shortage(rate_hz: float) -> str:
-    """Why one frame each tick carries less than what the board samples in that time, of probe and
-    perturbation alike; empty if it carries all.
+    """Return why one frame per tick cannot carry all samples of probe and perturbation; empty if it
+    can.
     """
     samples = PROBE_RATE_HZ / rate_hz
     if samples <= PAIR_MAX:
@@ -143,7 +145,9 @@ def _stated(hello: HelloFrame, device: DeviceParams) -> tuple[Stated, ...]:
 
 
 def _limit(hello: HelloFrame, device: DeviceParams, force: Stated) -> Stated:
-    """Where the board clamps; by a motor that was measured, in newtons of the board's own scale."""
+    """Return the limit at which the board clamps; with a measured motor, in newtons of the board's
+    own scale.
+    """
     own_n = device.force_limit_n
     if not device.force.measured:
         return Stated("force limit", hello.force_limit_n, own_n, "N", TYPED)

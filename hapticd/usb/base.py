@@ -1,6 +1,6 @@
 """The interface of every link to a board.
 
-Real and simulated boards are twins below it: nobody above asks which.
+Real and simulated boards share it: no caller distinguishes them.
 """
 
 from abc import ABC, abstractmethod
@@ -19,15 +19,15 @@ ENGLISH_US = 0x0409  # language of its strings
 class Link(ABC):
     """One board, one owner. Every call returns within the link's time-out or raises a LinkError.
 
-    `in_flight`: `write` returns before its frame has arrived, and a frame may be under way while
-    no call is (`usb.flight`).
+    `in_flight`: `write` returns before its frame has arrived, and a frame may be in transit between
+    calls (`usb.flight`).
     """
 
     in_flight = False
 
     @abstractmethod
     def open(self) -> None:
-        """Find and claim the board. LinkLost: not there; LinkAccess: not allowed or taken."""
+        """Find and claim the board. LinkLost: not found; LinkAccess: not allowed or in use."""
 
     @abstractmethod
     def close(self) -> None:
@@ -35,7 +35,8 @@ class Link(ABC):
 
     @abstractmethod
     def read(self, buffer: "array[int]") -> int:
-        """Fill `buffer` (array('B'), one packet) with the next IN frame; number of bytes.
+        """Fill `buffer` (array('B'), one packet) with the next IN frame; return the number of
+        bytes.
 
         LinkTimeout, LinkStalled, LinkLost.
         """
@@ -45,19 +46,22 @@ class Link(ABC):
         """Send `buffer` (array('B')) as one OUT frame. LinkTimeout, LinkStalled, LinkLost."""
 
     def drain(self) -> None:  # noqa: B027  # nothing to do where `write` waits
-        """Give the OUT frame that is on its way the time-out to arrive; never raises.
+        """Wait for the OUT frame in transit, up to the time-out; never raises.
 
-        Between ticks only: the next `write` does not find the bus taken.
+        Call it between ticks only: the next `write` then finds the bus free.
         """
 
     @abstractmethod
     def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
-        """Vendor control request with wValue `value`: its reply of at most `length` bytes.
+        """Send a vendor control request with wValue `value`; return its reply of at most `length`
+        bytes.
 
         With `length` 0 it is an OUT request without data.
         """
 
 
 def backoff_s(attempt: int) -> float:
-    """Pause before looking for a lost board again: 50 ms, doubled each time, at most 1 s."""
+    """Return the pause before the next search for a lost board: 50 ms, doubled each time, at most 1
+    s.
+    """
     return min(1.0, 0.05 * 2.0 ** min(attempt, 10))

@@ -1,12 +1,12 @@
-"""Bytes <-> frames, with the CRC.
+"""Convert between bytes and frames, with the CRC.
 
-Two forms of the same rules: `encode_*`/`decode_*` give named values and clear errors, for boards,
-tests and tools; `out_packer`/`in_parser` work in place on the servo's two buffers, so that a tick
-allocates nothing that outlives it. A frame is taken whole or refused whole: length, CRC, count and
-axis must be right. Reserved bytes and samples beyond the count are sent as 0 and ignored on
-receipt. The field order must be that of `frames` (the packers use the same Struct objects). A
-buffer must be refilled, not replaced (both keep memoryviews of the buffer they were given). The
-caller must notice a short read (`in_parser` otherwise sees the frame of the tick before).
+There are two forms of the same rules. `encode_*`/`decode_*` give named values and clear errors, for
+boards, tests and tools. `out_packer`/`in_parser` work in place on the servo's two buffers, so that
+a tick allocates nothing that outlives it. A frame is accepted or refused as a whole: length, CRC,
+count and axis must be right. Reserved bytes and samples beyond the count are sent as 0 and ignored
+on receipt. The field order must be that of `frames` (the packers use the same Struct objects). A
+buffer must be refilled, not replaced (both keep memoryviews of their buffer). The caller must
+detect a short read (`in_parser` otherwise reads the frame of the tick before).
 """
 
 import struct
@@ -45,8 +45,8 @@ __all__ = [
 I16_LOWEST = -32768
 I16_HIGHEST = 32767
 U16_HIGHEST = 65535
-TORQUE_SEQUENCES = 256  # that the low byte of a sequence number tells apart
-# places in a head: the fields of frames.IN_SEALED, as `in_parser` gives them
+TORQUE_SEQUENCES = 256  # values of the low byte of a sequence number
+# places in a head: the fields of frames.IN_SEALED, as returned by `in_parser`
 HEAD_SEQ = 0
 HEAD_ECHO = 1
 HEAD_AXIS = 2
@@ -73,13 +73,13 @@ _SERIAL_BYTES = 16
 
 
 def crc16(data: bytes | bytearray | memoryview) -> int:
-    """CRC-16/CCITT-FALSE of `data` (0x29B1 for b"123456789")."""
+    """Return the CRC-16/CCITT-FALSE of `data` (0x29B1 for b"123456789")."""
     return crc_hqx(data, frames.CRC_INITIAL)
 
 
 def _sealed(layout: struct.Struct, *values: Any) -> bytes:
     try:
-        # a CRC of 0 to begin with; its bytes are cut off again
+        # pack a CRC of 0, and cut off its bytes
         body = layout.pack(*values, 0)[: -frames.CRC.size]
     except struct.error as error:
         raise FrameError(
@@ -130,7 +130,7 @@ def _check_axis(kind: str, axis: int) -> None:
 
 
 def encode_out(frame: OutFrame) -> bytes:
-    """32 bytes of an OUT frame. FrameError if a value does not fit its field."""
+    """Return the 32 bytes of an OUT frame. FrameError if a value does not fit its field."""
     *head, perturbation = frame
     count = _counted("OUT", len(perturbation), frames.PROBE_MAX)
     samples = (*perturbation, *NO_SAMPLES[count:])
@@ -138,7 +138,7 @@ def encode_out(frame: OutFrame) -> bytes:
 
 
 def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
-    """The OUT frame in 32 bytes. FrameError names length, CRC, count or axis."""
+    """Return the OUT frame in 32 bytes. FrameError with the field: length, CRC, count or axis."""
     seq, axis, flags, torque, damping, resistance, count, _, *samples, _, _ = _opened(
         frames.OUT, data, "OUT"
     )
@@ -148,7 +148,7 @@ def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
 
 
 def encode_in(frame: InFrame) -> bytes:
-    """64 bytes of an IN frame. FrameError if a value does not fit its field."""
+    """Return the 64 bytes of an IN frame. FrameError if a value does not fit its field."""
     seq, echo, axis, *latched = frame[:_PAIRS]
     count = _counted("IN", len(frame.pairs), frames.PAIR_MAX)
     flat = tuple(value for pair in frame.pairs for value in pair) + _NO_PAIRS[2 * count :]
@@ -156,7 +156,7 @@ def encode_in(frame: InFrame) -> bytes:
 
 
 def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
-    """The IN frame in 64 bytes. FrameError names length, CRC, count or axis."""
+    """Return the IN frame in 64 bytes. FrameError with the field: length, CRC, count or axis."""
     seq, echo, axis, count, *values, _ = _opened(frames.IN, data, "IN")
     latched = _PAIRS - 3
     behind = latched + len(_NO_PAIRS)
@@ -168,7 +168,7 @@ def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
 
 
 def encode_hello(hello: HelloFrame) -> bytes:
-    """80 bytes of a hello reply. FrameError if a value does not fit its field."""
+    """Return the 80 bytes of a hello reply. FrameError if a value does not fit its field."""
     h = hello
     _check_hello_values(h)
     try:
@@ -189,8 +189,9 @@ def encode_hello(hello: HelloFrame) -> bytes:
 
 
 def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
-    """The hello reply in 80 bytes. FrameError names length, serial or a full scale that is not
-    finite.
+    """Return the hello reply in 80 bytes.
+
+    FrameError with the field: length, serial, or a full scale that is not finite.
     """
     _check_length("hello", len(data), frames.HELLO_BYTES, "update the board's firmware")
     protocol, version, axes, _, capabilities, watchdog, serial, *scales, _ = frames.HELLO.unpack(
@@ -202,7 +203,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
         axes,
         capabilities,
         watchdog,
-        # Latin-1 takes every byte; what is not ASCII is refused below, by name
+        # Latin-1 decodes every byte; other characters than ASCII are refused below
         serial.partition(b"\0")[0].decode("latin-1"),
         *scales,
     )
@@ -234,11 +235,11 @@ def _check_hello_values(hello: HelloFrame) -> None:
 
 
 def out_packer(buffer: "array[int]") -> Callable[..., None]:
-    """`pack(seq, flags, torque, damping, resistance, count=0, samples=...)` into `buffer`
+    """Return `pack(seq, flags, torque, damping, resistance, count=0, samples=...)` into `buffer`
     (array('B'), 32 bytes).
 
-    `samples` always has PROBE_MAX entries; those beyond `count` are 0. All values are counts within
-    their fields: the caller has clamped them, struct.error otherwise.
+    `samples` always has PROBE_MAX entries; those beyond `count` are 0. All values are counts that
+    the caller has clamped to their fields; struct.error otherwise.
     """
     body = memoryview(buffer)[: frames.OUT_BYTES - frames.CRC.size]
     fill = frames.OUT.pack_into
@@ -263,15 +264,15 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
 
 
 def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
-    """`parse()` of the IN frame in `buffer` (array('B'), 64 bytes): its head, or None if it is
+    """Return `parse()` for the IN frame in `buffer` (array('B'), 64 bytes): its head, or None if
     refused.
 
-    Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes
-    were read. A head is the fields of IN_SEALED (see HEAD_SEQ and the others): seq, echo, axis,
+    The rules are those of `decode_in`: CRC, count and axis; the caller has checked that 64 bytes
+    were read. A head has the fields of IN_SEALED (see HEAD_SEQ and the others): seq, echo, axis,
     probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
     fifo_level, life, index_offset, probe_index, event_code, event_age_us, torque_age_us,
-    damping_effect, torque_seq, event_seq, CRC. The pairs stay in the frame; whoever wants them
-    decodes it whole.
+    damping_effect, torque_seq, event_seq, CRC. The pairs stay in the frame; `decode_in` returns
+    them.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
     unpack = frames.IN_SEALED.unpack_from

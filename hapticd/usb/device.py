@@ -1,32 +1,35 @@
-"""A board that answers: link, protocol session and buffers in one, made for one exchange per tick.
+"""A connected board: link, protocol session and buffers in one, for one exchange per tick.
 
-`receive` gives the newest IN frame and says how it arrived: 0 is the next one on time, k > 0 came
-after k samples that never did, -k means that for the k-th tick in a row there is none (the old one
-is returned), SEED that the filters must start here. The judge is the board's own latch time, not
-the sequence number: after a host pause the sample that lay waiting is one period old and belongs to
-its own time, and the gap shows in the one after it.
+`receive` returns the newest IN frame and its arrival:
 
-A stale frame (a duplicate, or one that a time-out left behind) is read past, at most MOST_READS a
-tick, and so is an old one: the pipeline is one frame deep, so the frame of this tick answers the
-OUT sent last, and one that echoes an earlier OUT waited in a queue while a newer one lies behind
-it. That one is there already, so reading it costs no time. Where it is not (that OUT was lost too)
-the read was in vain; it is not repeated for some ticks, and then it is, or a link that fell behind
-while it was disturbed would stay there. A tick that finds nothing but old frames is a tick without
-a sample. A packet of zero length, which a USB stack may put behind a
-full one, is no frame: it is counted, and the frame behind it is read in the same tick. No buffer
-holds back session.BACKWARD ticks: a clock that still lies behind after so many is that of a board
-which started anew, and seeds.
+    0       the next frame, on time
+    k > 0   the first frame after k lost samples
+    -k      no frame for the k-th tick in a row; the old one is returned
+    SEED    the filters must start at this frame
 
-Each frame says which OUT's torque is in effect and for how long. `send` keeps, by the low byte of
-the sequence number, the board time of the sample that stood behind it, so every frame gives the
-delay from a sample to its force, on the board's clock alone; negative while it is not known. A
-frame of another life (the board's firmware started anew) seeds too: nothing of the former life
-holds.
+The board's latch time decides, not the sequence number. After a host pause the waiting sample is
+one period old and belongs to its own time, and the gap appears in the next one.
 
-Almost every frame is simply the next one, intact; `receive` and `send` know that case in straight
-line and leave every other to the codec: a frame that is not exactly as expected is judged by
-`in_parser` as if nobody had looked. LinkLost is for the loop; everything less is counted and
-survived here. One task must call it, and buffers must not be replaced.
+A stale frame (a duplicate, or one left behind by a time-out) is skipped, and so is an old one, at
+most MOST_READS per tick. The pipeline is one frame deep, so the frame of this tick answers the last
+OUT. A frame that echoes an earlier OUT has waited in a queue, and a newer one follows; it has
+already arrived, so reading it takes no time. If it has not (that OUT was lost too), the read was in
+vain. It is then not repeated for some ticks, and after that it is: otherwise a link that fell
+behind during a disturbance would stay behind. A tick with only old frames has no sample. A packet
+of zero length, which a USB stack may append to a full one, is not a frame: it is counted, and the
+next frame is read in the same tick. No buffer holds session.BACKWARD ticks: if a clock is still
+behind after that many, the board has restarted, and the frame seeds.
+
+Each frame contains the OUT whose torque is in effect, and for how long. `send` stores the board
+time of the sample behind each OUT, by the low byte of its sequence number. Every frame therefore
+gives the delay from a sample to its force, on the board's clock alone; it is negative while
+unknown. A frame of another life (the board's firmware restarted) seeds too: no state of the former
+life applies.
+
+Almost every frame is the next one, intact. `receive` and `send` handle that case inline and leave
+every other to the codec: `in_parser` examines any other frame as a whole. LinkLost is for the loop;
+smaller failures are counted and handled here. One task must call it, and buffers must not be
+replaced.
 """
 
 from array import array
@@ -58,18 +61,18 @@ __all__ = ["NO_HEAD", "SEED", "UNKNOWN_US", "Device", "Head"]
 
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20
-# each is a transfer of its own within the tick; the deepest queue that is known holds four frames
+# each is a separate transfer within the tick; the deepest known queue holds four frames
 MOST_READS = 4
-# a search for a newer frame that found none took its time-out; so long it is not repeated
+# a search for a newer frame in vain took its time-out; it is not repeated for this long
 REST_TICKS = 4
 Head = tuple[int, ...]  # fields of frames.IN_SEALED; places: codec.HEAD_SEQ and the others
 # arrival, unwrapped board time [us], delay of the force in effect [us] or -1, head
 Received = tuple[int, int, int, Head]
-# board time of a sample that never was: the delay comes out negative
+# board time of a missing sample: the delay becomes negative
 NO_SAMPLE_US = 1 << 62
-AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it stands for longer too
+AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it also represents longer ages
 UNKNOWN_US = -1
-MOST_LAG = session.SEQ_MASK // 2  # an OUT further back than that was sent ahead of this one
+MOST_LAG = session.SEQ_MASK // 2  # a larger lag means an OUT ahead of this one
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
@@ -84,7 +87,7 @@ class Device:
     def __init__(self, link: Link, rate_hz: float) -> None:
         self.link = link
         self.period_us = US_PER_S / rate_hz
-        # pyusb hands an array('B') on to libusb without a copy
+        # pyusb passes an array('B') to libusb without a copy
         self.in_buffer = array("B", bytes(frames.PACKET_BYTES))
         self.out_buffer = array("B", bytes(frames.OUT_BYTES))
         kinds = (
@@ -101,8 +104,8 @@ class Device:
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self.events = PinEvents()
-        self._phase_us: int | None = None  # asked for; None: as the board has it
-        self._phase_life = 0  # of the board, in which it was asked for
+        self._phase_us: int | None = None  # as requested; None: the board's default
+        self._phase_life = 0  # life of the board at the request
         self._begin, self.receive, self.send, self.rehearse = _exchange(self)
 
     def connect(self) -> HelloFrame:
@@ -117,33 +120,35 @@ class Device:
         return hello
 
     def greet(self) -> HelloFrame:
-        """Ask an open board again who it is. LinkError, ProtocolMismatch or FrameError."""
+        """Request the hello of an open board again. LinkError, ProtocolMismatch or FrameError."""
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
         self.events.able = bool(self.hello.capabilities & Capability.EVENT)
         return self.hello
 
     def begin(self) -> None:
-        """A frame without torque, from which on everything counts anew."""
+        """Send a frame without torque, and restart all counting from it."""
         self.link.drain()
         # samples of an earlier session may wait in the board; a frame without ENABLE also
         # ends a tripped watchdog
         self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)
-        # a board that was lost may count from 0 again, and no sample stood behind that frame
+        # a lost board may count from 0 again, and no sample was behind that frame
         self._begin()
 
     def set_phase(self, phase_us: float) -> None:
-        """Ask the board to latch each IN `phase_us` after its OUT; it has to be able to."""
+        """Request that the board latches each IN `phase_us` after its OUT; it must have the
+        capability.
+        """
         self.link.request(Request.SAMPLE_PHASE, value=round(phase_us))
         self._phase_us = round(phase_us)
         self._phase_life = self.counts["lives"]
 
     def keep_phase(self) -> None:
-        """Ask again if the board has started anew and forgotten it. LinkError."""
+        """Set the phase again if the board has restarted and lost it. LinkError."""
         if self._phase_us is not None and self._phase_life != self.counts["lives"]:
             self.set_phase(self._phase_us)
 
     def clear_fault(self) -> None:
-        """Ask the board to forget latched faults whose cause is gone."""
+        """Request that the board clears latched faults whose cause is gone."""
         self.link.request(Request.CLEAR_FAULT)
 
     def close(self) -> None:
@@ -154,9 +159,8 @@ class Device:
 def _exchange(
     device: Device,
 ) -> tuple[Callable[[], None], Callable[[], Received], Callable[..., bool], Callable[[], Head]]:
-    """Closures over the device's buffers.
-
-    The state of the exchange lives in their cells, which are as quick to reach as locals.
+    """Return closures over the device's buffers. The state of the exchange is in their cells, which
+    are as fast as locals.
     """
     link = device.link
     read = link.read
@@ -189,13 +193,13 @@ def _exchange(
     sent = 0
     missing = 0
     seeding = True
-    resting = 0  # ticks until an old frame is a reason to read again
+    resting = 0  # ticks until an old frame causes another read
     scratch = bytearray(frames.OUT_BYTES)
     left = 0  # samples of the OUT frame before
 
     def begin() -> None:
         nonlocal expected, missing, seeding
-        # no sequence number is that: the first frame takes the slow path, through `odd`
+        # not a sequence number: the first frame takes the slow path, through `odd`
         expected = -1
         missing = 0
         seeding = True
@@ -208,7 +212,7 @@ def _exchange(
         return -missing, board_us, UNKNOWN_US, head
 
     def fetch() -> Head | str:
-        """One frame, or how it failed; packets of zero length are no frames and read past."""
+        """Return one frame, or how it failed; packets of zero length are skipped."""
         try:
             for _ in range(MOST_READS):
                 if size := read(in_buffer):
@@ -219,8 +223,8 @@ def _exchange(
         return (parse() if size == whole else None) or "bad"
 
     def newest(found: Head) -> Head | str:
-        """`found`, or the first frame behind it that is neither stale nor old; else what there is
-        instead.
+        """Return `found`, or the first frame after it that is neither stale nor old, or how that
+        failed.
         """
         nonlocal resting
         for _ in range(MOST_READS):
@@ -246,7 +250,7 @@ def _exchange(
         return "missing"
 
     def odd(found: Head) -> Received:
-        """A frame that is not simply the next one: stale, old, after a gap, or the first."""
+        """Handle a frame that is not simply the next one: stale, old, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding, life
         if missing > session.BACKWARD and found[HEAD_LIFE] == life:
             latched = session.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS)
@@ -275,7 +279,9 @@ def _exchange(
         return lost, board_us, delay_us(found), head
 
     def delay_us(found: Head) -> int:
-        """From the sample to the force that was in effect when `found` was latched, just now."""
+        """Return the delay from a sample to the force in effect when `found` was
+        latched, just now.
+        """
         age_us = found[HEAD_TORQUE_AGE]
         if age_us == AGE_HIGHEST_US:
             return UNKNOWN_US
@@ -287,7 +293,7 @@ def _exchange(
             size = read(in_buffer)
         except (LinkTimeout, LinkStalled):
             return absent("missing")
-        # before the size is checked: the buffer has 64 bytes whatever came
+        # before the size is checked: the buffer always has 64 bytes
         found = unpack(in_buffer)
         # negative where 32 bits of microseconds wrap, every 71 minutes: `odd` unwraps them
         passed = found[HEAD_BOARD_TIME] - head[HEAD_BOARD_TIME]
@@ -312,7 +318,7 @@ def _exchange(
         missing = 0
         expected = (expected + 1) & 0xFFFF
         board_us = board_us + passed
-        # `delay_us` without the call; the loop takes every negative number for unknown
+        # `delay_us` inline; for the loop every negative number means unknown
         delay = board_us - found[HEAD_TORQUE_AGE] - sampled[found[HEAD_TORQUE_SEQ]]
         return 0, board_us, delay, found
 
@@ -327,7 +333,7 @@ def _exchange(
         nonlocal sent, left
         sent = (sent + 1) & 0xFFFF
         sampled[sent & 0xFF] = board_us
-        # the frame after the last samples goes this way too: it puts zeros in their place
+        # also for the frame after the last samples: it replaces them by zeros
         if count or left:
             pack(sent, flags, torque, damping, resistance, count, samples)
             left = count
@@ -338,15 +344,15 @@ def _exchange(
             write(out_buffer)
         except (LinkTimeout, LinkStalled):
             counts["write_errors"] += 1
-            # never submitted: the newest frame answers the OUT before
+            # not submitted: the newest frame answers the OUT before
             if link.in_flight:
                 sent = (sent - 1) & 0xFFFF
             return False
         return True
 
     def rehearse() -> Head:
-        """What `receive` and `send` do between their transfers, to no effect: it warms the
-        caches. The head that lies there.
+        """Do the work of `receive` and `send` between their transfers, without effect, to warm the
+        caches. Return the head in the buffer.
         """
         check(in_body, initial)
         fill(scratch, 0, sent, 0, 0, 0, 0)

@@ -1,15 +1,14 @@
-"""Events at the board's pins: a sync pulse or a code of a stimulus computer, an EEG amplifier or an
-eye tracker, with its time on the clock of the samples.
+"""Events at the board's pins, with their times on the clock of the samples.
 
-Every frame shows one event: its number, its code, and its age at the latch. The board shows each
-in two frames that were taken, so a lost frame loses no event. An event counts once, when its number
-is first seen. A step of more than 1 tells how many events were lost between; the number has 8 bits,
-so a loss of 256 events is not seen. The event in the first frame of a life of the board
-happened before it and is not recorded. A board that was lost and comes back in the same life goes
-on with its numbers.
+An event is a sync pulse or a code of a stimulus computer, an EEG amplifier or an eye tracker. Every
+frame contains one event: its number, its code, and its age at the latch. The board repeats each in
+two frames, so a lost frame loses no event. An event counts once, when its number first appears. A
+step of more than 1 gives the number of lost events; the number has 8 bits, so a loss of 256 events
+is not detected. The event in the first frame of a life of the board happened before it and is not
+recorded. A board that returns in the same life continues its numbers.
 
-The time is that of the change, by the board's clock, as `board_us` is that of the sample: the two
-need no clock of the host. An age that has reached the end of its 16 bits gives no time.
+The time is that of the change, by the board's clock, like `board_us` of the sample: the two need no
+clock of the host. An age at the end of its 16 bits gives no time.
 """
 
 from hapticd.usb.codec import HEAD_EVENT_AGE, HEAD_EVENT_CODE, HEAD_EVENT_SEQ, U16_HIGHEST
@@ -24,8 +23,8 @@ NO_EVENT = (NO_TIME_US, NO_CODE)
 
 
 class PinEvents:
-    """The events of one board. `seen` is the number of the newest one that was taken, `lost` how
-    many were missed; a board that is not `able` has none.
+    """The events of one board. `seen` is the number of the newest one, `lost` the number of missed
+    ones; a board that is not `able` has none.
     """
 
     __slots__ = ("able", "lost", "seen")
@@ -36,8 +35,8 @@ class PinEvents:
         self.lost = 0
 
     def take(self, head: tuple[int, ...], board_us: int) -> tuple[int, int]:
-        """Time [us] and code of the event of `head`, latched at `board_us`; its number is not
-        `seen`.
+        """Return time [us] and code of the event of `head`, latched at `board_us`, with a number
+        other than `seen`.
         """
         number = head[HEAD_EVENT_SEQ]
         missed = (number - self.seen - 1) % NUMBERS

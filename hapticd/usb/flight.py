@@ -1,27 +1,28 @@
-"""Transfers in flight: the IN of the next sample and the OUT of this tick are under way while the
-servo computes, sleeps and computes again.
+"""Transfers in flight: the IN of the next sample and the OUT of this tick are in progress while the
+servo computes and sleeps.
 
-In turn, a tick waits for its IN, computes, and waits for its OUT: each wait holds a submission, the
-bus, an interrupt and a wake-up. In flight, only what the force really has to pass is left:
+With transfers one after the other, a tick waits for its IN, computes, and waits for its OUT: each
+wait includes a submission, the bus, an interrupt and a wake-up. In flight, only the path of the
+force remains:
 
     board latches -> IN on the wire -> kernel has it | deadline: law | submission, OUT on the wire
 
-The rules, which bound what a transfer can do to a tick:
+The rules, which bound the effect of a transfer on a tick:
 
-    one IN      submitted just before the OUT whose sample it will bring, reaped when it is due.
-                Never a second one: a spare would take the frame that a newer one should replace.
-    one OUT     not waited for. If it is still on its way at the next deadline that tick is lost (no
-                sample, WRITE_FAILED in its record) and no other OUT is submitted behind it. So
-                STOP goes into the next OUT, a period later unless the bus is stuck, and then the
-                board's watchdog ends the force.
-    no cancel   in a tick: an OUT that is taken back may have been delivered, an IN acknowledged.
-                Only a link that closes cancels, after it has given its last OUT the time-out.
+    one IN      submitted just before the OUT that triggers its sample, reaped when due. Never a
+                second one: a spare would take a frame that a newer one should replace.
+    one OUT     not waited for. If it is still in progress at the next deadline, that tick is lost
+                (no sample, WRITE_FAILED in its record) and no other OUT is submitted behind it.
+                STOP therefore goes into the next OUT, a period later unless the bus is stuck, and
+                then the board's watchdog ends the force.
+    no cancel   in a tick: a cancelled OUT may have been delivered, a cancelled IN acknowledged.
+                Only the close of a link cancels, after the last OUT has had the time-out.
 
-Both buffers may be used again at once: the kernel copies an OUT when it is submitted and an IN when
-it is reaped. An OUT that failed is known in the next tick, which has no sample anyway.
+Both buffers may be reused at once: the kernel copies an OUT when it is submitted and an IN when it
+is reaped. The failure of an OUT is known in the next tick, which has no sample anyway.
 
 A backend must not fill the buffer of an IN before it is reaped. Limitations: a caller that leaves
-an IN unread for ticks (it is then one frame behind, which `usb.device` reads past).
+an IN unread for ticks (it is then one frame behind, which `usb.device` skips).
 """
 
 import errno
@@ -40,10 +41,12 @@ class Transfers(Protocol):
     def submit_in(self) -> None: ...
 
     def out_done(self, wait_ns: int) -> bool:
-        """Whether the OUT has arrived, after waiting for `wait_ns` at most."""
+        """Return whether the OUT has arrived, after waiting for at most `wait_ns`."""
 
     def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
-        """Bytes of the IN, copied to `buffer`; -1: none after waiting for `wait_ns` at most."""
+        """Return the bytes of the IN, copied to `buffer`; -1: none after waiting for at most
+        `wait_ns`.
+        """
 
     def clear_halt(self, endpoint: int) -> None: ...
     def cancel(self) -> None: ...
@@ -57,7 +60,7 @@ class End(NamedTuple):
 
 
 class OutFailed(Exception):
-    """The OUT that was on its way has failed with `error`."""
+    """The OUT in progress has failed with `error`."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__(str(error))
@@ -65,23 +68,23 @@ class OutFailed(Exception):
 
 
 class InFlight:
-    """`read` and `write` as pyusb's device has them, over transfers in flight."""
+    """`read` and `write` as in pyusb's device, over transfers in flight."""
 
     def __init__(self, transfers: Transfers) -> None:
         self._transfers = transfers
         self._out_pending = False
         self._in_pending = False
         self._begun = False  # an OUT has been sent
-        self._failed: OutFailed | None = None  # met outside of a tick
+        self._failed: OutFailed | None = None  # found outside a tick
 
     def read(self, _endpoint: int, buffer: "array[int]", timeout_ms: int) -> int:
-        """Reap the IN, or ask for one first; bytes. OutFailed, USBError."""
+        """Reap the IN, or submit one first; return its bytes. OutFailed, USBError."""
         if self._out_pending and not self._landed(0):
             raise _pending()
         transfers = self._transfers
         if not self._in_pending:
             transfers.submit_in()
-        # cleared by whatever ends it, an error too
+        # any end clears it, including an error
         self._in_pending = False
         count = transfers.in_done(buffer, timeout_ms * NS_PER_MS)
         if count < 0:
@@ -90,11 +93,11 @@ class InFlight:
         return count
 
     def write(self, _endpoint: int, buffer: "array[int]", _timeout_ms: int) -> int:
-        """Ask for the next IN and send `buffer`; its bytes. OutFailed, USBError."""
+        """Submit the next IN and send `buffer`; return its bytes. OutFailed, USBError."""
         if self._out_pending and not self._landed(0):
             raise _pending()
         transfers = self._transfers
-        # before the first OUT it would take a frame that an earlier session has left in the board
+        # before the first OUT it would take a frame of an earlier session from the board
         if self._begun and not self._in_pending:
             transfers.submit_in()
             self._in_pending = True
@@ -103,8 +106,8 @@ class InFlight:
         return len(buffer)
 
     def drain(self, timeout_ms: int) -> None:
-        """Give the OUT that is on its way the time to arrive; never raises: how it failed is told
-        by the next `read` or `write`.
+        """Wait for the OUT in progress, up to the time-out; never raises. The next `read` or
+        `write` reports its failure.
         """
         if self._out_pending:
             try:
@@ -114,7 +117,7 @@ class InFlight:
                 self._failed = failed
 
     def close(self, timeout_ms: int, errors: tuple[type[Exception], ...]) -> None:
-        """Drain, and cancel what is left; `errors` are not told."""
+        """Drain, and cancel the rest; `errors` are suppressed."""
         self.drain(timeout_ms)
         try:
             self._transfers.cancel()
@@ -136,6 +139,6 @@ class InFlight:
 
 
 def _pending() -> Exception:
-    """As libusb reports a time-out; the transfer goes on all the same."""
+    """Return a time-out as libusb reports it; the transfer continues."""
     error: Exception = usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
     return error

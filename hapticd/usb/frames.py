@@ -1,14 +1,12 @@
-"""The frames of firmware_iface/hapticd_wire.h as Python sees them, and the fingerprint of that
-header.
+"""The frames of firmware_iface/hapticd_wire.h in Python, and the fingerprint of that header.
 
 The C header is the authoritative definition; test_wire_header.py compiles it and compares every
-size, offset and constant with this file. PROTOCOL_HASH is what the board must report: a board built
-against another header is refused. What counts for the fingerprint are declarations: comments, white
-space and the line that carries the result do not, so the header can be explained better or
-formatted anew without forcing anyone to flash a board.
+size, offset and constant with this file. The board must report PROTOCOL_HASH: a board built against
+another header is refused. The fingerprint covers declarations only, not comments, white space or
+its own line. Explanation and format of the header can therefore change without flashing a board.
 
 A field added here must be added in the header, and a changed header needs another PROTOCOL_HASH
-(`tests/unit/test_wire_header.py` computes it anew).
+(`tests/unit/test_wire_header.py` computes it).
 """
 
 import struct
@@ -70,13 +68,13 @@ OUT_BARE = struct.Struct("<HxBhHhxx")  # all before the samples, where axis and 
 IN = struct.Struct("<HHBBHIihhhhBBhI10hHHHHBBH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
 IN_PAIRS = struct.Struct("<10h")
-IN_TAIL = struct.Struct("<HHHHBB")  # between pairs and CRC: event, what acts, number of the event
-IN_EFFECT = struct.Struct("<HHB")  # of those: age, damping and sequence of what acts
+IN_TAIL = struct.Struct("<HHHHBB")  # between pairs and CRC: event, effect, number of the event
+IN_EFFECT = struct.Struct("<HHB")  # of those: age, damping and sequence of the OUT in effect
 # IN without its pairs
 IN_SEALED = struct.Struct(f"{IN_HEAD.format}{IN_PAIRS.size}x{IN_TAIL.format[1:]}H")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
-# bytes at which fields begin, for those who read one without unpacking the frame
+# offsets of fields, to read one without unpacking the frame
 OUT_OFFSETS = {"torque": 4, "damping": 6}
 IN_OFFSETS = {
     "probe_count": 5,
@@ -157,7 +155,7 @@ class OutFrame(NamedTuple):
 
 
 class InFrame(NamedTuple):
-    """Board to host. All numbers are counts but `board_time_us` and those of age."""
+    """Board to host. All numbers are counts, except `board_time_us` and ages."""
 
     seq: int
     echo: int
@@ -183,7 +181,7 @@ class InFrame(NamedTuple):
 
 
 class HelloFrame(NamedTuple):
-    """What a board says about itself."""
+    """The description of a board by itself."""
 
     protocol_hash: bytes
     firmware_version: int
@@ -202,5 +200,5 @@ class HelloFrame(NamedTuple):
 
     @property
     def firmware(self) -> str:
-        """`firmware_version` as people write it, like 1.0."""
+        """`firmware_version` in the usual form, like 1.0."""
         return f"{self.firmware_version >> 8}.{self.firmware_version & 0xFF}"

@@ -1,24 +1,24 @@
-"""The USB link: the one product file that talks to pyusb; a simulated board is a backend of it.
+"""The USB link: the one product file that uses pyusb; a simulated board is a backend of it.
 
-Found by vendor, product and serial number; the endpoints, bulk or interrupt, are those of the
-vendor interface. A board that has a configuration keeps it: setting it again would reset its
-toggles and its firmware. Both buffers are array('B'), which pyusb passes on without a copy; every
-time-out is finite, since a blocked read cannot be cancelled.
+The board is found by vendor, product and serial number; the endpoints, bulk or interrupt, are those
+of the vendor interface. A board that has a configuration keeps it: setting it again would reset its
+toggles and its firmware. Both buffers are array('B'), which pyusb passes on without a copy. Every
+time-out is finite, because a blocked read cannot be cancelled.
 
-Every way in which pyusb can fail becomes a LinkError by the table FAILURES. Its numbers are those
-that pyusb reports on Linux; 5 (the bus failed) is what an unplug often looks like before the hub
-has noticed, so it is treated as 19 (no such device); 2 is what a device says that the kernel has
-put aside. libusb's "not supported" has no number and counts as lost. A halted endpoint is cleared
-once; if its next transfer stalls again the board counts as lost. After LinkLost the caller closes,
-waits `backoff_s(attempt)` and opens again: for a moment after an unplug the dead board is still
-listed, and its opening fails with LinkLost too.
+Every failure of pyusb becomes a LinkError by the table FAILURES. Its numbers are those that pyusb
+reports on Linux. 5 (the bus failed) often precedes the hub's report of an unplug, so it is treated
+as 19 (no such device). 2 belongs to a device that the kernel has de-authorised. libusb's "not
+supported" has no number and counts as lost. A halted endpoint is cleared once; if its next transfer
+stalls again the board counts as lost. After LinkLost the caller closes, waits `backoff_s(attempt)`
+and opens again: for a moment after an unplug the dead board is still listed, and its opening fails
+with LinkLost too.
 
-Each look for the board has a libusb context of its own. A context lists the devices that were there
-when it was made, and after that learns of others from udev's messages alone, which reach no
-container without udevd and no network namespace (PrivateNetwork=).
+Each search for the board has its own libusb context. A context lists the devices that were present
+when it was created. Later it learns of others from udev's messages alone, which reach no container
+without udevd and no network namespace (PrivateNetwork=).
 
-Threads must not share a device. A time-out is no clock, since libusb fires late. A device must not
-outlive its context by more than one look.
+Threads must not share a device. A time-out is not a clock, because libusb fires late. A device must
+not outlive its context by more than one search.
 """
 
 import errno
@@ -56,7 +56,7 @@ _PUT_ASIDE = (
 )
 _OWNER = "another program has claimed the board: stop it and try again"
 
-# what an errno means, and what to do about it
+# meaning and remedy of an errno
 FAILURES: dict[int | None, tuple[type[LinkError], str]] = {
     errno.ETIMEDOUT: (LinkTimeout, "the tick goes on without the frame"),
     errno.EPIPE: (LinkStalled, "the halt is cleared once"),
@@ -83,9 +83,9 @@ REQUEST_REMEDIES = {
 
 
 def link_error(action: str, error: Exception, remedies: Mapping[int, str] = NO_OTHERS) -> LinkError:
-    """The LinkError for `error`, which pyusb raised while trying to `action`.
+    """Return the LinkError for `error`, which pyusb raised while trying to `action`.
 
-    `remedies` by errno take the place of those of FAILURES. Raise it from that.
+    `remedies` by errno replace those of FAILURES. Raise it from `error`.
     """
     number = getattr(error, "errno", None)
     kind, remedy = FAILURES.get(number, OTHERWISE)
@@ -97,13 +97,13 @@ def link_error(action: str, error: Exception, remedies: Mapping[int, str] = NO_O
 
 CONTROL_TIMEOUT_MS = 100  # three bus transactions, never within a tick
 FRAME_TRANSFERS = (usb.util.ENDPOINT_TYPE_BULK, usb.util.ENDPOINT_TYPE_INTR)
-DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # libusb's "not supported" is no USBError
+DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # the latter: libusb's "not supported"
 
 
 def system_backend() -> Any:
-    """The libusb of the system, else the one of libusb-package.
+    """Return the libusb of the system, or the one of libusb-package.
 
-    MissingLibrary: there is neither. ConfigError: it cannot be loaded.
+    MissingLibrary: neither is installed. ConfigError: it cannot be loaded.
     """
     from usb.backend import libusb1  # loads ctypes and the library: not for a simulated board
 
@@ -135,7 +135,7 @@ class UsbLink(Link):
 
     def _forget(self) -> None:
         self._device = None
-        # in place of a test in every transfer whether the link is open
+        # replaces a test in every transfer whether the link is open
         self._read = self._write = _not_open
         self._clear_halt: Callable[[int], object] = _not_open
         self._flight: InFlight | None = None
@@ -144,7 +144,7 @@ class UsbLink(Link):
         self._halted: set[int] = set()  # endpoints whose last transfer stalled
 
     def open(self) -> None:
-        # of a board that was lost a dead handle is left
+        # a lost board leaves a dead handle
         self.close()
         self._device = device = self._find()
         try:
@@ -159,7 +159,7 @@ class UsbLink(Link):
     def close(self) -> None:
         device = self._device
         flight = self._flight
-        # before it is disposed of: whatever fails there, the link is closed
+        # before the device is disposed of: the link is closed even if that fails
         self._forget()
         if flight is not None:
             flight.close(self._timeout_ms, DEVICE_ERRORS)
@@ -180,7 +180,7 @@ class UsbLink(Link):
         # only two stalls in a row mean that the board is lost
         if self._halted:
             self._halted.discard(self._in)
-            if self.in_flight:  # the OUT before has arrived, or this one would not have been read
+            if self.in_flight:  # the OUT before has arrived, otherwise the IN could not be read
                 self._halted.discard(self._out)
         return count
 
@@ -202,7 +202,7 @@ class UsbLink(Link):
                 reply = self._device.ctrl_transfer(
                     VENDOR_IN, request.value, value, 0, length, CONTROL_TIMEOUT_MS
                 )
-                # pyusb gives an array
+                # pyusb returns an array
                 return bytes(reply)
             self._device.ctrl_transfer(
                 VENDOR_OUT, request.value, value, 0, None, CONTROL_TIMEOUT_MS
@@ -217,19 +217,19 @@ class UsbLink(Link):
         ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
         try:
             if self._system is not None:
-                # a context of its own: it lists the devices which are there now
+                # a new context lists the devices that are present now
                 self._backend = type(self._system)(self._system.lib)
-            # a list, since pyusb's generator raises only where it is walked
+            # a list, because pyusb's generator raises only during iteration
             found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
         except DEVICE_ERRORS as error:
             raise link_error("look for boards", error) from error
         for device in found:
             try:
-                # to read the serial number is to open the device, which needs the rights
+                # reading the serial number opens the device, which needs permission
                 if params.serial is None or _serial(device) == params.serial:
                     return device
             except DEVICE_ERRORS as error:
-                # kept for the end: another board at the bus may be ours
+                # kept for the end: another board at the bus may match
                 unreadable = link_error("read the board's serial number", error)
             _dispose(device)
         serial = "" if params.serial is None else f" with serial {params.serial}"
@@ -240,7 +240,7 @@ class UsbLink(Link):
                 " serial"
             )
         finally:
-            del unreadable  # it holds this frame: a circle, which nobody collects in the servo
+            del unreadable  # it holds this frame: a cycle, which is not collected in the servo
 
     def _take(self, device: Any) -> None:
         number, out, into = _frame_endpoints(_configuration(device))
@@ -259,7 +259,9 @@ class UsbLink(Link):
         self.in_flight = True
 
     def _transfers(self, device: Any, number: int, out: End, into: End) -> Transfers | None:
-        """Transfers in flight of the interface that is claimed with them; None: only in turn."""
+        """Return transfers in flight for the interface, claimed with them; None: only one after the
+        other.
+        """
         if not self._params.in_flight:
             return None
         if self._system is not None:
@@ -296,10 +298,9 @@ def _not_open(*_: Any) -> int:
 
 
 def _in_turn(device: Any, number: int, out: End, into: End) -> tuple[Transfer, Transfer]:
-    """`read` and `write` of the claimed interface, one transfer after the other.
-
-    pyusb looks up interface, endpoint and handle under a lock in every transfer. That is a third of
-    the instructions before the OUT. A pyusb without this private name keeps to its slower way.
+    """Return `read` and `write` of the claimed interface, one transfer after the other. pyusb looks
+    up interface, endpoint and handle under a lock in every transfer, a third of the instructions
+    before the OUT. A pyusb without this private name keeps its slower path.
     """
     backend = device.backend
     handle = getattr(getattr(device, "_ctx", None), "handle", None)
@@ -322,12 +323,12 @@ def _in_turn(device: Any, number: int, out: End, into: End) -> tuple[Transfer, T
 def _serial(device: Any) -> str | None:
     try:
         text: str | None = usb.util.get_string(device, device.iSerialNumber, ENGLISH_US)
-    except ValueError:  # no UTF-16
+    except ValueError:  # not UTF-16
         return None
     except usb.core.USBError as error:
         if error.errno is not None:
             raise
-        return None  # pyusb's own "Invalid descriptor": a foreign device with our numbers
+        return None  # pyusb's own "Invalid descriptor": a foreign device with the same ids
     return text
 
 
@@ -342,9 +343,9 @@ def _configuration(device: Any) -> Any:
 
 
 def _frame_endpoints(configuration: Any) -> tuple[int, End, End]:
-    """Number of the vendor interface, and its OUT and IN endpoint."""
+    """Return the number of the vendor interface, and its OUT and IN endpoint."""
     for interface in configuration:
-        # alternate setting 0 is the one in force when nobody has chosen
+        # alternate setting 0 is the default
         if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
             outs, ins = (
                 _ends(interface, usb.util.ENDPOINT_OUT),
@@ -359,7 +360,6 @@ def _frame_endpoints(configuration: Any) -> tuple[int, End, End]:
 
 
 def _ends(interface: Any, direction: int) -> list[End]:
-    """Endpoints of that direction that may carry frames."""
     found = []
     for endpoint in interface:
         kind = usb.util.endpoint_type(endpoint.bmAttributes)
@@ -374,9 +374,9 @@ def _detach_kernel_driver(device: Any, number: int) -> None:
         if device.is_kernel_driver_active(number):
             device.detach_kernel_driver(number)
     except NotImplementedError:
-        return  # not a notion of this platform
+        return  # not supported on this platform
     except usb.core.USBError as error:
-        # ENOENT: the driver let go between the question and the request
+        # ENOENT: the driver released it between the query and the request
         if error.errno != errno.ENOENT:
             raise
 
@@ -385,4 +385,4 @@ def _dispose(device: Any) -> None:
     try:
         usb.util.dispose_resources(device)
     except DEVICE_ERRORS:
-        return  # the device is gone, and with it all that was held
+        return  # the device is gone, with all its resources

@@ -1,16 +1,16 @@
-"""Looking for a board that is not there, or there and not ready: with growing pauses, never in
-vain for good, and saying what for.
+"""Search for a board that is absent or not ready, with growing pauses, without end, and with a
+reason.
 
-A board that was just plugged in may be there before udev has granted its rights, may be slow to
-answer its first request, or may still be in its boot loader, which stalls that request or says
-hello with another hash and then leaves the bus to come back as itself. All of these pass; so does
-the program that has claimed it, some day. Each look that fails gives its reason; a reason is told
-when it is another one than before, and "" when the board answers.
+A board that was just plugged in may appear before udev has granted access, or be slow to answer its
+first request. It may also still run its boot loader, which stalls that request or sends a hello
+with another hash. The board then leaves the bus and returns. All of these conditions pass, and so
+does a claim by another program. Each failed attempt has a reason; a reason is reported when it
+differs from the last one, and "" when the board answers.
 
-A hash that stays wrong does not pass: somebody has to flash or install something. `MISMATCH_NS`
-is how long a start waits for another answer; a servo that runs already goes on looking.
+A persistent wrong hash does not pass: the user must flash or install something. A start waits
+`MISMATCH_NS` for another answer; a running servo continues to search.
 
-A reason must not change with every look (a count, a time), since each new one is reported.
+A reason must not change with every attempt (a count, a time), because each new one is reported.
 """
 
 from collections.abc import Callable
@@ -28,24 +28,26 @@ Tell = Callable[[str], None]
 
 
 class BoardSearch:
-    """Looks for the board of `device`; `tell(reason)` is called when the reason changes."""
+    """Searches for the board of `device`; `tell(reason)` is called when the reason changes."""
 
     def __init__(self, device: Device, tell: Tell) -> None:
         self._device = device
         self._tell = tell
-        self.reason = ""  # why the last look failed
-        self.retry_ns = 0  # no look before that
+        self.reason = ""  # why the last attempt failed
+        self.retry_ns = 0  # time of the next attempt
         self._attempt = 0
-        self._mismatch_ns: int | None = None  # since when nothing but a wrong hash was met
+        self._mismatch_ns: int | None = None  # time from which only a wrong hash was received
 
     def begin(self, now_ns: int) -> None:
-        """The board was lost just now: the first look is a short pause away."""
+        """Start the search for a board that was just lost: the first attempt follows after a short
+        pause.
+        """
         self._attempt = 0
         self._mismatch_ns = None
         self.retry_ns = now_ns + int(backoff_s(0) * NS_PER_S)
 
     def look(self, now_ns: int) -> HelloFrame | None:
-        """The hello of the board, open and greeted; None: not now, or not ready."""
+        """Return the hello of the board, open and greeted; None: not due, or not ready."""
         if now_ns < self.retry_ns:
             return None
         try:
@@ -58,7 +60,7 @@ class BoardSearch:
         return hello
 
     def check_patience(self, now_ns: int) -> None:
-        """ProtocolMismatch when the board has said nothing but a wrong hash for too long."""
+        """Raise ProtocolMismatch if the board has sent only a wrong hash for too long."""
         if self._mismatch_ns is not None and now_ns - self._mismatch_ns >= MISMATCH_NS:
             raise ProtocolMismatch(self.reason)
 

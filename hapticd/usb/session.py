@@ -1,20 +1,19 @@
-"""What both ends must agree on beyond single frames: who they are, which frame comes next, and
-numbers that wrap.
+"""The session with a board: handshake, sequence of frames, and numbers that wrap.
 
-Handshake. `greet` takes a board's first reply. Nothing else is sent to a board before it has said
-hello with the hash of our own header; a board that was lost says it again.
+Handshake. `greet` checks a board's first reply. No other frame is sent before the board has replied
+to hello with the hash of this package's header; a lost board must reply again.
 
-Sequence. Frames count modulo 2**16. USB keeps order, so only what lay in a buffer comes late: the
-BACKWARD last numbers are late frames, every other distance forward is a gap. With half the circle
-each way, a board that restarted its count would seem late for up to 32768 frames; so it is one gap.
-More than 65470 lost frames (8 s at 8 kHz) cannot be told from late ones: the link is given up long
-before.
+Sequence. Frames count modulo 2**16. USB keeps the order, so only buffered frames arrive late. The
+last BACKWARD numbers are late frames; every other distance forward is a gap. With half the circle
+each way, a board that restarted its count would seem late for up to 32768 frames; here it is one
+gap. More than 65470 lost frames (8 s at 8 kHz) cannot be distinguished from late ones: the link is
+given up long before.
 
-Wrapping. A reading stands for the integer nearest to the one before it; unique while less than half
-a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1 km of
-travel at 0.5 um.
+Wrapping. A reading represents the integer nearest to the one before it. This is unique while less
+than half a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1
+km of travel at 0.5 um.
 
-A `previous` must not be kept across a re-plug (unwrap from the first reading anew).
+A `previous` must not be kept across a re-plug (unwrap again from the first reading).
 """
 
 from hapticd.core.errors import ProtocolMismatch
@@ -32,12 +31,12 @@ SEQ_MASK = (1 << SEQ_BITS) - 1
 
 
 def greet(reply: bytes) -> HelloFrame:
-    """The hello in the bytes of a board's reply, if the host can work with this board. What its
-    device file relies on is not looked at here (`usb.agreement`).
+    """Return the hello in a board's reply, if the host can work with this board.
 
-    The first 8 bytes are the protocol hash in every version, so a board of another version is named
-    as such (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply
-    with our hash is malformed.
+    The requirements of its device file are checked elsewhere (`usb.agreement`). The first 8 bytes
+    are the protocol hash in every version. A board of another version is therefore identified
+    (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply with the
+    right hash is malformed.
     """
     found = bytes(reply[: len(frames.PROTOCOL_HASH)])
     if found != frames.PROTOCOL_HASH:
@@ -66,8 +65,8 @@ def greet(reply: bytes) -> HelloFrame:
 
 
 def unwrap(previous: int, wrapped: int, bits: int) -> int:
-    """The integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits, signed or
-    not.
+    """Return the integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits,
+    signed or not.
 
     Exactly half a period away counts as backward.
     """
@@ -77,8 +76,8 @@ def unwrap(previous: int, wrapped: int, bits: int) -> int:
 
 
 def lost_between(previous: int, seq: int) -> int:
-    """How many frames were lost between the newest one, `previous`, and `seq`; 0 if that comes late
-    or is the same one again.
+    """Return the number of frames lost between the newest one, `previous`, and `seq`. It is 0 if
+    `seq` is late or a duplicate.
     """
     step = (seq - previous) & SEQ_MASK
     return step - 1 if 0 < step <= SEQ_MASK - BACKWARD else 0

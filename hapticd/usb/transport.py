@@ -1,30 +1,31 @@
-"""What the bus between host and board costs, and what is left of a period for it.
+"""Measure the transfer times of the bus between host and board, and set the sample phase
+accordingly.
 
-One tick reads the IN that was latched, computes, and writes the OUT; the board latches the next IN
-a phase after it has accepted that. For the ticks to be on time
+A tick reads the latched IN, computes, and writes the OUT; the board latches the next IN one phase
+after it has accepted that. The ticks are on time if
 
     phase + IN transfer + step + OUT transfer  <=  period
 
-At a phase of 0.875 an eighth of a period is left, 125 us at 1 kHz: enough where a transfer is a
-call, too little for a bus. A pair of transfers takes 0.33 ms at the median through a Linux kernel
-and 1.45 times as much at the 99th percentile. So room is left for 1.45 times the measured median
-and 50 us of step, and the phase is the largest multiple of 1/16 of the period, up to 0.875, that
-leaves it. What the force loses by it is known: it acts (1 - phase) periods after its sample.
+A phase of 0.875 leaves an eighth of a period, 125 us at 1 kHz: enough if a transfer is a call, too
+little for a bus. A pair of transfers takes 0.33 ms at the median through a Linux kernel, and 1.45
+times as much at the 99th percentile. Room is therefore left for 1.45 times the measured median and
+50 us of step. The phase is the largest multiple of 1/16 of the period, up to 0.875, that leaves it.
+The cost for the force is known: it acts (1 - phase) periods after its sample.
 
-With transfers in flight (`usb.flight`) neither is waited for. What has to fit is
+With transfers in flight (`usb.flight`) a tick waits for neither. The condition is then
 
-    phase + way of an OUT to the board + way of its IN back + step  <=  period
+    phase + transit of an OUT to the board + transit of its IN + step  <=  period
 
-and no wake-up is in it. That round is measured as a tick makes it, at one phase after the other,
-from later ones to earlier; the first whose median leaves 50 us is taken. A frame that comes later
-than that makes its tick wait for it and its force act later, and costs no slot.
+without a wake-up. That round is measured in the same way as a tick, at one phase after the other,
+from later ones to earlier; the first whose median leaves 50 us is used. A frame that arrives later
+makes its tick wait and its force act later, and costs no slot.
 
-Whether there is a bus at all is asked first, by a control transfer, which no board counts: what
-answers within 100 us is in the same process. Only then frames are exchanged, all of them without
-torque: an OUT, a pause of a period, so that its IN is there, and the read.
+The first check is whether there is a bus, by a control transfer, which no board counts: an answer
+within 100 us comes from the same process. Only then are frames exchanged, all without torque: an
+OUT, a pause of a period for its IN to arrive, and the read.
 
-Limitations: a board whose control transfers are quicker than its frames, a pause between measuring
-and use in which the bus got busier (the delay that each record shows would tell).
+Limitations: a board whose control transfers are faster than its frames; a bus that became busier
+between measurement and use (the delay in each record would show it).
 """
 
 from math import floor
@@ -40,32 +41,33 @@ from hapticd.usb.frames import Capability, Request
 
 __all__ = ["Transport", "settle_transport"]
 
-USUAL_PHASE = 0.875  # of a period: what a board has of itself (firmware_iface/PROTOCOL.md)
+USUAL_PHASE = 0.875  # of a period: default of a board (firmware_iface/PROTOCOL.md)
 PHASES = 16  # in a period
 PAIRS = 32
 GREETINGS = 3
 ROUNDS = 16  # at one phase, in flight
-LOOKS = 4  # for the answer of a round, each a time-out long
+LOOKS = 4  # reads for the answer of a round, each a time-out long
 NO_BUS_US = 100.0  # USB needs at least three frames of 125 us for a control transfer
 SLOWEST_OVER_MEDIAN = 1.45  # 99th percentile of pairs through a Linux kernel
-STEP_US = 50.0  # wake-up, law and record of one tick, with a margin of its own
+STEP_US = 50.0  # wake-up, law and record of one tick, margin included
 RATE_STEP_HZ = 10.0
 
 
 class Transport(NamedTuple):
-    """What was measured, and what follows from it."""
+    """The measurement and its results."""
 
     pair_us: float  # of an OUT and an IN transfer; 0 without a bus
     sample_phase: float  # of a period, from an OUT to the latch of its IN
     delay_us: float  # from a sample to its force
-    rate_hz: float  # highest that is held, or the servo's own
-    in_flight: bool  # an OUT and an IN may be under way while the servo computes
+    rate_hz: float  # highest possible one, or the servo's own
+    in_flight: bool  # an OUT and an IN may be in progress while the servo computes
 
 
 def settle_transport(device: Device, clock: Clock) -> Transport:
     """Measure the bus of a greeted `device` and set the phase of its board.
 
-    A rate below the servo's own says that it is not held. LinkError as the link raises it.
+    A returned rate below the servo's own means that the bus is too slow for it. LinkError from the
+    link.
     """
     period_us = device.period_us
     rate_hz = US_PER_S / period_us
@@ -84,7 +86,9 @@ def settle_transport(device: Device, clock: Clock) -> Transport:
 
 
 def _in_turn(device: Device, clock: Clock, settable: bool) -> tuple[float, float, float]:
-    """Time of a pair [us], phase and rate that is held [Hz], by the median of pairs."""
+    """Return the time of a pair [us], the phase and the possible rate [Hz], from the median of
+    pairs.
+    """
     period_us = device.period_us
     pair_us = median(_pairs_us(device, clock))
     needed_us = SLOWEST_OVER_MEDIAN * pair_us + STEP_US
@@ -96,7 +100,9 @@ def _in_turn(device: Device, clock: Clock, settable: bool) -> tuple[float, float
 
 
 def _in_flight(device: Device, clock: Clock, settable: bool) -> tuple[float, float, float]:
-    """The same by trying phases, from later ones to earlier, until the answers come in time."""
+    """Return the same by trying phases, from later ones to earlier, until the answers arrive in
+    time.
+    """
     period_us = device.period_us
     if not settable:
         round_us = _round_us(device, clock)
@@ -120,7 +126,9 @@ def _in_flight(device: Device, clock: Clock, settable: bool) -> tuple[float, flo
 
 
 def _round_us(device: Device, clock: Clock) -> float:
-    """From an OUT to its answer, both in flight: the median of ROUNDS. LinkTimeout."""
+    """Return the time from an OUT to its answer, both in flight: the median of ROUNDS.
+    LinkTimeout.
+    """
     period_ns = round(device.period_us * NS_PER_US)
     device.begin()
     clock.sleep_until_ns(clock.now_ns() + period_ns)
@@ -129,7 +137,7 @@ def _round_us(device: Device, clock: Clock) -> float:
     for _ in range(ROUNDS):
         start_ns = clock.now_ns()
         device.send(0, 0, 0, 0)
-        device.link.drain()  # no tick: an OUT may be waited for
+        device.link.drain()  # not in a tick: waiting for an OUT is allowed
         if any(device.receive()[0] >= 0 for _ in range(LOOKS)):
             rounds.append((clock.now_ns() - start_ns) / NS_PER_US)
         clock.sleep_until_ns(max(clock.now_ns(), start_ns + period_ns))
@@ -141,7 +149,6 @@ def _round_us(device: Device, clock: Clock) -> float:
 
 
 def _greeting_us(device: Device, clock: Clock) -> float:
-    """Shortest time of a control transfer."""
     times = []
     for _ in range(GREETINGS):
         start_ns = clock.now_ns()
@@ -151,7 +158,7 @@ def _greeting_us(device: Device, clock: Clock) -> float:
 
 
 def _pairs_us(device: Device, clock: Clock) -> list[float]:
-    """Time of each of PAIRS pairs: an OUT without torque, and an IN that lies ready."""
+    """Return the time of each of PAIRS pairs: an OUT without torque, and an IN that is ready."""
     period_ns = round(device.period_us * NS_PER_US)
     pairs = []
     clock.sleep_until_ns(clock.now_ns() + period_ns)

@@ -1,22 +1,22 @@
 """Transfers in flight through Linux's own usbfs: submitted, and reaped when they are done.
 
-libusb and pyusb find the board, read its descriptors and carry its control requests. Its frames go
-through a descriptor of their own on the same device node, which claims the interface: usbfs keeps
-claims and transfers by descriptor, so libusb never reaps what it has not submitted.
+libusb and pyusb find the board, read its descriptors and carry its control requests. Its frames use
+a separate descriptor on the same device node, which claims the interface. usbfs keeps claims and
+transfers by descriptor, so libusb never reaps a transfer that it has not submitted.
 
     SUBMITURB        starts one transfer; the bytes of an OUT are copied
-    REAPURBNDELAY    gives a transfer that is done, in the order of their ends; the bytes of an IN
-                     are copied now
-    select           sleeps until one is done (then the node can be written), where a tick has to
+    REAPURBNDELAY    returns a completed transfer, in the order of completion; the bytes of an IN
+                     are copied then
+    select           sleeps until one is complete (then the node is writable), where a tick must
                      wait for a late IN
-    DISCARDURB       takes one back; only `cancel` does it
+    DISCARDURB       cancels one; only `cancel` uses it
 
-Structures and buffers are made once, so no call of a tick makes anything that lasts; `fcntl.ioctl`
-would copy them and lose their addresses, which the kernel keeps. Errors come as pyusb raises them
-(`usb.core.USBError` with libusb's errno): a transaction that failed on the wire is EIO.
+Structures and buffers are created once, so no call of a tick allocates anything that lasts.
+`fcntl.ioctl` would copy them and lose their addresses, which the kernel keeps. Errors are raised as
+by pyusb (`usb.core.USBError` with libusb's errno): a transaction that failed on the wire is EIO.
 
-Python must not move or free a structure while its transfer is under way (they live as long as this
-object, and `cancel` closes the descriptor first). One thread must use it.
+Python must not move or free a structure during its transfer (they live as long as this object, and
+`cancel` closes the descriptor first). One thread must use it.
 """
 
 import ctypes
@@ -36,7 +36,7 @@ from hapticd.usb.frames import PACKET_BYTES
 PENDING = -1
 BULK = 3  # USBDEVFS_URB_TYPE_*
 INTERRUPT = 1
-# of a transfer's end; every other one is a transaction that failed on the wire
+# errors of a completed transfer; every other one is a transaction that failed on the wire
 KEPT = frozenset((errno.EPIPE, errno.EOVERFLOW, errno.ENODEV))
 GONE = frozenset((errno.ESHUTDOWN, errno.ENODEV))
 
@@ -61,7 +61,7 @@ class _Urb(ctypes.Structure):
 
 
 def _request(direction: int, number: int, size: int) -> int:
-    """_IOC of <asm-generic/ioctl.h>, for usbfs."""
+    """Return _IOC of <asm-generic/ioctl.h>, for usbfs."""
     return direction << 30 | size << 16 | ord("U") << 8 | number
 
 
@@ -78,7 +78,7 @@ _ioctl.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)  # type: ignor
 
 
 class _Transfer:
-    """One transfer, which is submitted again and again."""
+    """One transfer, which is submitted repeatedly."""
 
     def __init__(self, end: End) -> None:
         self.bytes = (ctypes.c_ubyte * PACKET_BYTES)()
@@ -119,18 +119,18 @@ class UsbfsTransfers:
         self._submit(out)
 
     def submit_in(self) -> None:
-        """Ask for a packet."""
+        """Submit the IN for one packet."""
         self._submit(self._in)
 
     def out_done(self, wait_ns: int) -> bool:
-        """Whether the OUT has arrived, after waiting for `wait_ns` at most."""
+        """Return whether the OUT has arrived, after waiting for at most `wait_ns`."""
         if not self._ended(self._out, wait_ns):
             return False
         _check(self._out.urb.status)
         return True
 
     def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
-        """Bytes of the IN, now in `buffer`, or PENDING after `wait_ns`."""
+        """Return the bytes of the IN, copied to `buffer`, or PENDING after `wait_ns`."""
         into = self._in
         if not self._ended(into, wait_ns):
             return PENDING
@@ -140,15 +140,15 @@ class UsbfsTransfers:
         return size
 
     def clear_halt(self, endpoint: int) -> None:
-        """Clear the halt of an endpoint, which only who has claimed it may."""
+        """Clear the halt of an endpoint, which requires the claim."""
         self._ask(CLEAR_HALT, endpoint)
 
     def cancel(self) -> None:
-        """Take both back and give the board free."""
+        """Cancel both and release the board."""
         for transfer in (self._out, self._in):
             if not transfer.done:
                 _ioctl(self._fd, DISCARD, transfer.address)
-        os.close(self._fd)  # the kernel waits for what is still under way
+        os.close(self._fd)  # the kernel waits for transfers in progress
 
     def _submit(self, transfer: _Transfer) -> None:
         if _ioctl(self._fd, SUBMIT, transfer.address) < 0:
@@ -156,7 +156,6 @@ class UsbfsTransfers:
         transfer.done = False
 
     def _ended(self, transfer: _Transfer, wait_ns: int) -> bool:
-        """Whether it is done, after waiting for `wait_ns` at most."""
         deadline_ns = 0
         while not transfer.done:
             if _ioctl(self._fd, REAP, self._slot_address) >= 0:
@@ -174,21 +173,18 @@ class UsbfsTransfers:
         return True
 
     def _ask(self, request: int, number: int) -> None:
-        """A request of usbfs about an interface or an endpoint."""
         held = ctypes.c_uint(number)
         if _ioctl(self._fd, request, ctypes.addressof(held)) < 0:
             raise _error(ctypes.get_errno())
 
 
 def _check(status: int) -> None:
-    """USBError if a transfer ended with a `status` that is not 0."""
     if status:
         number = errno.ENODEV if -status in GONE else -status
         raise _error(number if number in KEPT else errno.EIO)
 
 
 def _error(number: int) -> Exception:
-    """As pyusb raises it."""
     known = errno.ENODEV if number in GONE else number
     error: Exception = usb.core.USBError(os.strerror(known), None, known)
     return error

@@ -1,18 +1,18 @@
-"""The record of another acquisition system of a trial that the daemon recorded too, sample by
-sample beside it.
+"""The record of another acquisition system, aligned sample by sample with the daemon's record of
+the same trial.
 
-The daemon's own record says what was rendered in every tick, what the largest command was, and
-which slots were lost; the other one has the better sensors. `signal.alignment` finds where the
-file begins, how its clock runs and what it lost, by a mark that the perturbation began with. Its
-channels are then taken at the times of the daemon's samples, so that sample i of the result is
-sample `first_sample` + i of the own record; what the file lost is filled in and counted as in a
-live trial (`watch`).
+The daemon's own record contains the rendered environment of every tick, the largest command, and
+the lost slots; the other system has the better sensors. `signal.alignment` finds the start, the
+clock and the gaps of the file from the mark at the start of the perturbation. The file's channels
+are then interpolated at the times of the daemon's samples, so that sample i of the result is sample
+`first_sample` + i of the own record. Samples that the file lost are filled and counted as in a live
+trial (`watch`).
 
-Each channel is compared with the daemon's own: an inverted one is turned, and that is said; one
-that is more like the other channel, or like neither, is refused by name.
+Each channel is compared with the daemon's own. An inverted channel is flipped, with a note. A
+channel that resembles the other one more, or neither, is refused by name.
 
-Limitations: a force sensor elsewhere than the probe, with mass between; then the two forces differ
-by that mass, and the verdict is that of the port where the file's sensor is.
+Limitations: a force sensor away from the probe, with mass between them. The two forces then differ
+by that mass, and the verdict is for the port of the file's sensor.
 """
 
 from dataclasses import dataclass, replace
@@ -31,14 +31,14 @@ from hapticd.zwidth.watch import GapFiller, in_even_time
 
 __all__ = ["read_aligned"]
 
-GAPS_SAID = 4  # in words; all are in the summary
+GAPS_SAID = 4  # listed in text; all are in the summary
 CERTAINTY = 1.96  # standard deviations of a 95 % interval
-COUNTED = ("lost_slots", "slots")  # of the own record, that stay true
+COUNTED = ("lost_slots", "slots")  # of the own record, still valid
 
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """A channel of the file beside the daemon's own."""
+    """A channel of the file compared with the daemon's own."""
 
     coefficient: float  # of correlation; the sign is that of the file
     gain: float  # the file's over the daemon's, both in N or m/s
@@ -50,17 +50,17 @@ class Likeness:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How a file stands beside the daemon's own record, for the run's summary."""
+    """Position and clock of a file relative to the daemon's own record, for the run's summary."""
 
     own: str  # origin of the daemon's record
-    offset: int  # number of the file's sample (its counter's, or its row) at the own sample 0 ...
-    offset_fraction: float  # ... and the fraction of a sample beside it
-    clock_ppm: float  # the file's clock is fast by so much
+    offset: int  # number of the file's sample (counter or row) at the own sample 0 ...
+    offset_fraction: float  # ... and the fraction of a sample
+    clock_ppm: float  # how fast the file's clock runs
     clock_ppm_sd: float  # standard deviation of it
     residual_s: float  # rms of pieces of a quarter of a second about that clock
     first_sample: int  # sample of the own record at which this one begins
     mark: Mark
-    gaps: tuple[Gap, ...]  # beside those that the file's counter or times told
+    gaps: tuple[Gap, ...]  # in addition to those of the file's counter or times
     force: Likeness
     velocity: Likeness
 
@@ -82,11 +82,11 @@ def read_aligned(
     rate_hz: float | None = None,
     counter: str = "",
 ) -> TrialRecord:
-    """The record in `path`, of any system at 4 kHz, on the samples of hapticd's own record of the
-    same trial in `own_path`; names and rate as for `read_file`.
+    """Return the record in `path`, of any system at 4 kHz, on the samples of hapticd's own record
+    of the same trial in `own_path`; names and rate as for `read_file`.
 
     AnalysisError for an own record without a mark, and for a file without it, of another trial or
-    rate, or with channels that are not force and velocity; else as `read_file`.
+    rate, or with channels that are not force and velocity; otherwise as `read_file`.
     """
     own = read_file(own_path)
     mark_at = own.more.get(MARK_SAMPLE)
@@ -107,7 +107,7 @@ def read_aligned(
 
 
 def _marked_instead(foreign: ForeignSamples) -> str:
-    """Which other column shows the mark best, in words; "" where the force shows one."""
+    """Describe which other column shows the mark best; "" if the force shows one."""
     if find_marks(foreign.force):
         return ""
     strength = {
@@ -156,7 +156,7 @@ def _beside(
 
 
 def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats, Flags]:
-    """Channels (2, n) of the file at the own samples of `track`, and which of them it has."""
+    """Return channels (2, n) of the file at the own samples of `track`, and which exist."""
     even, _ = GapFiller().filled(track.place, channels[:, track.rows])
     measured = np.zeros(even.shape[1], dtype=bool)
     measured[track.place - track.place[0]] = came[track.rows]
@@ -169,8 +169,8 @@ def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats
 
 
 def _likeness(path: Path, channels: Floats, own: Floats) -> list[Likeness]:
-    """Force and velocity of the file (2, n) beside the daemon's (2, n). AnalysisError where one
-    is not what it is said to be.
+    """Compare force and velocity of the file (2, n) with the daemon's (2, n). AnalysisError if one
+    is not the named channel.
     """
     table = np.asarray(np.corrcoef(np.concatenate((channels, own))))[:2, 2:]
     found = []

@@ -1,19 +1,19 @@
-"""Where many trials run: on threads of this process, in processes of this machine, or on a Dask
+"""Execution of many trials: on threads of this process, in processes of this machine, or on a Dask
 cluster.
 
-    auto                processes for a map of thousands of trials, else threads
+    auto                processes for a map of thousands of trials, otherwise threads
     thread              the engine's own threads; its kernels release the interpreter lock
-    process             a process for each core, started anew; for verdicts, which hold the lock
+    process             a new process for each core; for verdicts, which hold the lock
     dask://HOST:PORT    the workers of a running scheduler (`dask scheduler`, `dask worker`)
 
-A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels
-are made where the task runs and kept on disk there. In a pool every task keeps to one core: there
-are as many tasks under way as cores, and the engine's own threads would only get in each other's
-way. Errors of ours come back as they were raised.
+A task is a function and its arguments, a few kB; its result is about 2.5 kB per trial. Kernels are
+compiled where the task runs and cached on disk there. In a pool every task uses one core: there are
+as many running tasks as cores, so the engine's own threads would only compete. Errors of this
+package are raised again as they are.
 
-Outcomes do not depend on where they were made, to the last bit, as long as hapticd, numpy and numba
-are the same: a worker with others is refused. What would break that: a cluster of unlike
-processors, for which numba compiles unlike code.
+Outcomes do not depend on the place of execution, to the last bit, if hapticd, numpy and numba are
+the same: a worker with other versions is refused. Limitations: a cluster of different processors,
+for which numba compiles different code.
 """
 
 import re
@@ -40,11 +40,11 @@ from hapticd.zwidth.engine.batch import at_most, workers
 
 __all__ = ["checked", "executor", "pool_of"]
 
-PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
+PATIENCE_S = 5.0  # timeout for a scheduler's answer and for a first worker
 GREETING_MOST = 1 << 20  # bytes
-SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on
+SAME = ("hapticd", "numpy", "numba")  # packages that determine the last bit of an outcome
 SPECS = "auto, thread, process or dask://HOST:PORT"
-# trials of 90 s: from here on threads wait longer for the lock than processes take to start
+# trials of 90 s: above it waiting for the lock costs threads more than starting processes
 MANY = 4000
 DASK = re.compile(r"dask://(?P<host>[^/@:?#\s]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})")
 
@@ -54,12 +54,12 @@ T = TypeVar("T")
 
 @contextmanager
 def executor(spec: str, processes: int | None = None, trials: int = 0) -> Iterator[Executor | None]:
-    """The executor of that name, closed afterwards: what has not begun by then is given up. None
-    for the threads here.
+    """Yield the executor of that name and close it afterwards, cancelling tasks that have not
+    started. None stands for the threads of this process.
 
-    `processes` of a pool, by default one a core; `trials` that are expected, for "auto".
-    ConfigError for another name, a scheduler that does not answer, without workers or with workers
-    of other versions, without the library; HapticdError when workers die.
+    `processes` of a pool, by default one per core; `trials` is the expected number, for "auto".
+    ConfigError for another name, a missing library, or a scheduler that does not answer, has no
+    workers or has workers of other versions; HapticdError when workers die.
     """
     few = trials < MANY or workers() == 1
     if spec == "thread" or (spec == "auto" and few):
@@ -73,31 +73,33 @@ def executor(spec: str, processes: int | None = None, trials: int = 0) -> Iterat
 
 
 def checked(spec: str) -> None:
-    """ConfigError unless there may be an executor of that name."""
+    """Raise ConfigError unless an executor of that name is possible."""
     if spec not in ("auto", "thread", "process"):
         _address(spec)
 
 
 def alone(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-    """The task on one core."""
+    """Run the task on one core."""
     with at_most(1):
         return task(*args, **kwargs)
 
 
 class SingleThreaded(Executor):
-    """Another executor whose tasks each keep to one core."""
+    """Another executor, each of whose tasks uses one core."""
 
     def __init__(self, inner: Executor) -> None:
         self._inner = inner
 
     def submit(self, task: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Submit `task` as to any executor; it is run by `alone`."""
+        """Submit `task` as to any executor; `alone` runs it."""
         return self._inner.submit(partial(alone, task, *args, **kwargs))
 
 
 @contextmanager
 def one_core_a_task(pool: Executor) -> Iterator[Executor]:
-    """`pool`, each task of it on one core; closed afterwards, without what has not begun."""
+    """Yield `pool`, each task on one core; close it afterwards without the tasks that have not
+    started.
+    """
     try:
         yield SingleThreaded(pool)
     finally:
@@ -105,7 +107,7 @@ def one_core_a_task(pool: Executor) -> Iterator[Executor]:
 
 
 def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
-    """`executor`, which stays open, or a thread here for each core: the kernels release the
+    """Return `executor`, which stays open, or a thread here for each core: the kernels release the
     interpreter lock.
     """
     if executor is not None:
@@ -115,7 +117,7 @@ def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
 
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    # Ctrl-C reaches every process of a terminal; the one that began this ends it
+    # Ctrl-C reaches every process of a terminal; the parent process ends the pool
     ignored = (signal.SIGINT, signal.SIG_IGN)
     pool = ProcessPoolExecutor(count, get_context("spawn"), signal.signal, ignored)
     try:
@@ -123,8 +125,8 @@ def _processes(count: int) -> Iterator[Executor]:
             yield tasks
     except BrokenExecutor as error:
         raise HapticdError(
-            f"a worker process died, killed or out of memory ({error}); begun again, a map goes on"
-            " from what it has kept"
+            f"a worker process died, killed or out of memory ({error}); restarted, a map"
+            " continues from its stored trials"
         ) from error
 
 
@@ -147,18 +149,18 @@ def _cluster(address: str) -> Iterator[Executor]:
         except (distributed.KilledWorker, CancelledError) as error:
             raise HapticdError(
                 f"the Dask cluster at {address} lost its scheduler or too many workers"
-                f" ({str(error) or 'tasks were given up'}); begun again, a map goes on from what it"
-                " has kept"
+                f" ({str(error) or 'tasks were given up'}); restarted, a map continues from"
+                " its stored trials"
             ) from error
 
 
 def _greeted(address: str) -> None:
-    """OSError unless someone there speaks first, as a scheduler does: for anyone else a client
-    would wait for ever.
+    """Raise OSError unless the peer sends first, as a scheduler does: with any other a client would
+    wait forever.
     """
     place = urlsplit(address)
     with create_connection((str(place.hostname), place.port or 0), timeout=PATIENCE_S) as link:
-        length = link.recv(8)  # of what follows, little-endian
+        length = link.recv(8)  # of the message, little-endian
     if len(length) < 8 or int.from_bytes(length, "little") > GREETING_MOST:
         raise OSError("the program at that address is not a Dask scheduler")
 
@@ -171,7 +173,7 @@ def _address(spec: str) -> str:
 
 
 def _look_at_workers(client: Any, address: str) -> None:
-    """ConfigError unless there are workers, all with our versions."""
+    """Raise ConfigError unless there are workers, all with our versions."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError as error:
@@ -189,8 +191,8 @@ def _look_at_workers(client: Any, address: str) -> None:
         ]
         if unlike:
             raise ConfigError(
-                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on where they"
-                " were made; install the same there and start the worker anew"
+                f"Dask worker {name} has {'; '.join(unlike)}: outcomes would depend on the"
+                " machine; install the same versions there and restart the worker"
             )
 
 

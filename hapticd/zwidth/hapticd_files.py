@@ -1,16 +1,13 @@
-"""Reads records that hapticd itself wrote.
+"""Reads records that hapticd itself wrote. Each becomes the record of one trial:
 
-Each becomes the record of one trial: a recording, its exports, a run folder's record.
-
-    NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples, the ticks
-                               beside them
+    NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples and the ticks
     NAME.mat                   its export for MATLAB: the same as structures
-    NAME.probe.csv             its export as text; the last line, a remark, says what the ticks said
-    record.h5                  of a trial, with what `run.json` says beside it or in the file
+    NAME.probe.csv             its export as text; the last line, a remark, summarises the ticks
+    record.h5                  of a trial, with the details of `run.json` next to it or in the file
 
-A recording is cut to its longest stretch that is one trial (`recording.stretch`); which of its
-samples are missing follows from their numbers. A mark of the perturbation lies before that stretch
-(`excitation.marked`); where it begins is said in samples of it, for `aligned`.
+A recording is cut to its longest stretch that is one trial (`recording.stretch`); the numbers of
+its samples show which are missing. A mark of the perturbation precedes that stretch
+(`excitation.marked`); its start is given in samples of the stretch, for `aligned`.
 
 Columns must have the units of this package, which writes all of them.
 """
@@ -37,17 +34,17 @@ from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 
-BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial in which its mark is looked for
+BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial that are searched for its mark
 
 
 def of_recording(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> TrialRecord:
-    """The trial in a recording called `name`. AnalysisError for one without probe samples."""
+    """Return the trial in a recording called `name`. AnalysisError without probe samples."""
     return _cut(column, attributes, stretch(column, attributes, name), name)
 
 
 def of_remark(column: ReadColumn, remark: Mapping[str, Any], name: str) -> TrialRecord:
-    """The trial in a text file `name` that ends with `remark`. AnalysisError for the table of
-    the servo.
+    """Return the trial in a text file `name` that ends with `remark`. AnalysisError for the table
+    of the servo.
     """
     if "trial" not in remark:
         raise AnalysisError(
@@ -95,7 +92,7 @@ def _cut(
 
 
 def _mark(column: ReadColumn, first: int, index: Integers) -> dict[str, int]:
-    """Where the last mark before row `first` begins, in samples from there on; {} without one."""
+    """Return the start of the last mark before row `first`, relative to it; {} without one."""
     begin = max(0, first - BEFORE)
     marks = find_marks(np.asarray(column("probe", "torque_n"), np.float64)[begin:first])
     return {MARK_SAMPLE: int(index[begin + marks[-1].row] - index[first])} if marks else {}

@@ -6,13 +6,13 @@
     csv   a line for each frequency, the units in the header
 
 The interval is that of Re Z: |Z| q s on each side, with the relative deviation s of `impedance` and
-Student's q at the confidence of the verdict for all frequencies together (Sidak). It covers what
-the intervals of the verdict cover by chance; what a fit leaves open (`resolved`) is not in it.
+Student's q at the confidence of the verdict for all frequencies together (Sidak). It covers the
+random errors that the intervals of the verdict cover, without the error of a fit (`resolved`).
 
-The least Re Z over the band is what control theory calls the input feedforward passivity index,
-here of the band alone: nu = min lambda_min(Z + Z^H) / 2. Each of these tools can compute it again.
+The minimum Re Z over the band is the input feedforward passivity index of control theory, here of
+the band alone: nu = min lambda_min(Z + Z^H) / 2. Each of these tools can compute it again.
 
-Frequencies without a value are left out, and so is 0 Hz.
+Frequencies without a value are omitted, and so is 0 Hz.
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ Format = Literal["npz", "mat", "csv"]
 
 
 def frequency_response(result: TrialResult) -> dict[str, Any]:
-    """Z over the band of the verdict, by name: `frequency_hz`, `omega_rad_per_s` (F,),
+    """Return Z over the band of the verdict, by name: `frequency_hz`, `omega_rad_per_s` (F,),
     `response` (F,) complex [N s/m], `real_low_ns_per_m`, `real_high_ns_per_m`, `sd_ns_per_m`,
     `coherence` (F,), and the numbers `confidence`, `passivity_index_ns_per_m`.
     """
@@ -60,8 +60,8 @@ def frequency_response(result: TrialResult) -> dict[str, Any]:
 
 
 def write_response(result: TrialResult, path: Path, form: Format) -> Path:
-    """Write the response to `path`. ConfigError: it cannot be written; MissingLibrary: a .mat file
-    without scipy.
+    """Write the response to `path`. ConfigError if it cannot be written; MissingLibrary for a .mat
+    file without scipy.
     """
     found = frequency_response(result)
     try:
@@ -78,7 +78,7 @@ def write_response(result: TrialResult, path: Path, form: Format) -> Path:
 
 
 def _columns(found: dict[str, Any]) -> dict[str, Floats]:
-    """As text has them: one number a column."""
+    """Return one column per number, for text."""
     return {
         "frequency_hz": found["frequency_hz"],
         "real_ns_per_m": found["response"].real,

@@ -1,24 +1,23 @@
-"""Limits along axes by trials: how far one of K, B, M goes from a base point, its first failure
-being the end.
+"""Limits along axes by trials: the first failure of one of K, B, M from a base point.
 
-The paper's headline numbers are those from K = B = M = 0; from where the other two stand at their
-best it is the maximum over the set. All limits are searched for here: those of a table, the
-paper's, those of its band edges, and those of a scene with an effect left out.
+The paper's headline numbers start from K = B = M = 0. From the best values of the other two, the
+limit is the maximum over the set. All limits are searched for here: those of a table, the paper's,
+those of its band edges, and those of a scene without an effect.
 
-The prediction says where to look: a first round of trials about it, further rounds outwards as long
-as none or all fail, then between the last that passed and the first that failed, until the limit is
-known to `tolerance`. A round is one task; what the next one is depends on the one before. The limit
-is the last value before the first failure by the paper's rule; below `lower` every verdict was
-passive at the confidence asked, at `upper` one was not passive.
+A first round of trials covers the predicted limit. Further rounds go outwards as long as none or
+all fail, then between the last that passed and the first that failed, until the limit is known to
+`tolerance`. A round is one task, and each round depends on the one before. The limit is the last
+value before the first failure by the paper's rule. Below `lower` every verdict was passive at the
+given confidence; at `upper` one was not passive.
 
 Limits belong to a perturbation: with Coulomb friction they fall as it grows. `amplitudes` scans
 several, each a factor of the scene's force. `seeds` repeats the whole scan with other noise; the
-scatter is given beside the mean. A lower band edge is one of the conditions.
+scatter is given with the mean. A lower band edge is one of the conditions.
 
-Outcomes go to an append-only store: limits that were interrupted, or are asked for again with more
-seeds, levels or amplitudes, run only the trials that are missing.
+Outcomes go to an append-only store. If limits are interrupted, or requested again with more seeds,
+levels or amplitudes, only the missing trials run.
 
-Limitations: a set that is not in one piece along the line that is searched.
+Limitations: a set that is not in one piece along the line of the search.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -62,11 +61,11 @@ __all__ = [
 
 ORIGIN: Point = (0.0, 0.0, 0.0)
 REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
-FIRST = (0.6, 1.5)  # of the predicted distance: where the first round looks
+FIRST = (0.6, 1.5)  # of the predicted distance: range of the first round
 OUTWARDS = 2.5  # factor by which a round in which all pass is extended
 ROUNDS = 6  # at most, after the first
-ROUND = 32  # values: the engine takes no longer for them together than for one
-UNPREDICTED = 0.02  # of the reach, where the prediction has no limit to look near
+ROUND = 32  # values: the engine takes as long for one as for all of them together
+UNPREDICTED = 0.02  # of the reach, if the prediction has no limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +87,7 @@ class LimitsParams:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One limit to be found; `predicted` nan where even the base is not passive."""
+    """One limit to find; `predicted` is nan if even the base is not passive."""
 
     axis: int  # 0 K, 1 B, 2 M
     active_damping_ns_per_m: float  # active damping
@@ -98,7 +97,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class LimitsPlan:
-    """All limits that are asked for, each with its prediction."""
+    """All requested limits, each with its prediction."""
 
     params: LimitsParams
     scans: tuple[Scan, ...]
@@ -106,12 +105,12 @@ class LimitsPlan:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimit:
-    """`value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`:
-    widest over seeds; `values` those of each seed, nan where the base fails; `judged`: from where
-    to where all trials were.
+    """A limit on one axis.
 
-    `worst_hz`: where the first failure has its least Re Z; `velocity_sd` [m/s] of the last trial
-    that passed.
+    `value` [N/m, Ns/m, kg]: mean over seeds, `sd` their scatter (nan for one); `lower`, `upper`:
+    widest over seeds; `values` those of each seed, nan where the base fails; `judged`: the range of
+    frequencies judged in all trials. `worst_hz`: frequency of minimum Re Z of the first failure;
+    `velocity_sd` [m/s] of the last trial that passed.
     """
 
     scan: Scan
@@ -134,8 +133,8 @@ class AxisLimit:
 
 @dataclass(frozen=True, slots=True)
 class LimitsResult:
-    """In the order of the plan. `made` trials, of all plans side by side, were new; the rest
-    came from the store.
+    """The limits in the order of the plan. `made` trials, over all plans run together, were new;
+    the rest came from the store.
     """
 
     plan: LimitsPlan
@@ -154,8 +153,8 @@ def predicted_limit(
     band_hz: tuple[float, float] | None = None,
     reach: float | None = None,
 ) -> float:
-    """The first failure by prediction, from `base` on towards `reach`; nan where even the base
-    is not passive.
+    """Return the predicted first failure from `base` towards `reach`; nan if even the base is not
+    passive.
     """
     band = () if band_hz is None else (band_hz,)
     return axis_limit(
@@ -179,11 +178,11 @@ def run_limits(
     plan: LimitsPlan, store: TrialStore, tell: Progress = silent, executor: Executor | None = None,
     on_outcomes: OnRound = lambda scan, conditions, new: None,
 ) -> LimitsResult:  # fmt: skip
-    """Find all limits; trials that the store lacks run on `executor` or on threads of this process.
-    `on_outcomes` receives the new outcomes of each round.
+    """Find all limits; trials missing from the store run on `executor` or on threads of this
+    process. `on_outcomes` receives the new outcomes of each round.
 
-    KeyboardInterrupt passes through after the rounds under way were cancelled; what was finished is
-    in the store.
+    KeyboardInterrupt propagates after the running rounds were cancelled; finished trials are in the
+    store.
     """
     return run_plans([plan], store, tell, executor, on_outcomes)[0]
 
@@ -195,7 +194,7 @@ def run_plans(
     executor: Executor | None = None,
     on_outcomes: OnRound = lambda scan, conditions, new: None,
 ) -> tuple[LimitsResult, ...]:
-    """Several plans side by side."""
+    """Run several plans together."""
     wanted = [
         (plan.params, scan, plan.params.conditions.perturbed(scan.amplitude, repeat))
         for plan in plans for scan in plan.scans for repeat in range(plan.params.seeds)
@@ -232,7 +231,7 @@ def run_plans(
 def search_limit(
     params: LimitsParams, scan: Scan, conditions: Conditions
 ) -> Procedure[list[Outcome]]:
-    """All trials of a scan under one noise, in order of the axis."""
+    """Return all trials of a scan under one noise, in order of the axis."""
     tried: list[Outcome] = []
     begin = params.base[scan.axis]
     for values in _rounds(params, scan, tried):
@@ -244,7 +243,7 @@ def search_limit(
 
 
 def _rounds(params: LimitsParams, scan: Scan, tried: list[Outcome]) -> Iterable[Floats]:
-    """Distances from the base to try next; `tried` grows meanwhile."""
+    """Yield distances from the base to try next; `tried` grows meanwhile."""
     begin = params.base[scan.axis]
     near = scan.predicted - begin
     if not isfinite(near) or near == 0.0:
@@ -265,7 +264,9 @@ def _rounds(params: LimitsParams, scan: Scan, tried: list[Outcome]) -> Iterable[
 
 
 def bracket(axis: int, tried: list[Outcome]) -> tuple[float, float]:
-    """Last value that passed before the first that failed, and that; nan where there is none."""
+    """Return the last value that passed before the first that failed, and that failure; nan if
+    there is none.
+    """
     values = [outcome.environment[axis] for outcome in tried]
     count = len(list(takewhile(lambda outcome: outcome.passes, tried)))
     return next(iter(values[:count][-1:]), nan), next(iter(values[count:]), nan)

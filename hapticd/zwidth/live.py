@@ -1,21 +1,22 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
 The daemon may be the real one or the same stack on virtual time (`lockstep`); the client is the
-same. The trial begins disabled and ends disabled, and it takes over nobody's session: it holds the
-measuring lease meanwhile, so nobody else changes anything, and neither the guard nor the energy
-faults end what goes to the edge, and is watched. Both are as before when the lease ends: with the
-trial, with its process, or when that hangs. Whoever takes the lease over has the device from then
-on; the trial is undecided and leaves it alone.
-Two streams are received meanwhile: the probe's samples, and the servo's ticks beside them. The
-ticks hold what no sample does: every command, the winding's temperature, the position, the slots
-that were left out, and the revision of the set-up, so that a change by anybody ends the trial. Lost
-samples are filled in and counted by `watch`.
+same. The trial begins disabled and ends disabled, and never takes over another client's session. It
+holds the measuring lease meanwhile. No other client can then change anything, and neither the guard
+nor the energy faults end a trial at the edge of stability; the monitor does. Both are restored when
+the lease ends: with the trial, with its process, or when that hangs. If another client takes over
+the lease, it controls the device; the trial is undecided and leaves the device alone.
 
-Calibrations that cannot be relied on are refused (`recording.calibrations`), or named with the
-record and its verdict.
+Two streams are received meanwhile: the probe's samples, and the servo's ticks. The ticks hold every
+command, the winding's temperature, the position, the slots that were left out, and the revision of
+the set-up, so that a change by any client ends the trial. Lost samples are filled and counted by
+`watch`.
 
-Limitations: a board without probe inputs (refused), a host so busy that slots are lost (named, then
-undecided), or ticks and samples that come much apart; both are cut by the same servo.
+Doubtful calibrations are refused (`recording.calibrations`), or named with the record and its
+verdict.
+
+Limitations: a board without probe inputs (refused); a host so busy that slots are lost (reported,
+then undecided); ticks and samples that arrive far apart, although the same servo sends both.
 """
 
 import datetime
@@ -46,7 +47,7 @@ from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
 __all__ = ["allowed_waveform", "daemon_source"]
 
-LEASE_S = 5.0  # a trial that hangs for so long has ended
+LEASE_S = 5.0  # a trial that hangs for longer has ended
 RENEW_S = 1.0
 WAVEFORM_S = 120.0  # a longer trial repeats it
 SPARE_S = 10.0  # of waveform beyond the trial: settling, and samples that arrive late
@@ -58,7 +59,7 @@ LOOK_S = 0.05
 SILENT_LOOKS = 40  # without a message: 2 s
 CHANGED = TrialEnd(
     EndReason.CHANGED,
-    "someone changed what was rendered or the perturbation; be alone at the device, and"
+    "another client changed the environment or the perturbation; disconnect other clients, and"
     " repeat the trial",
 )
 
@@ -72,12 +73,12 @@ ENDS = {
     "stopped": EndReason.STOPPED,
     "fault": EndReason.FAULT,
     None: EndReason.SERVO_DOWN,
-}  # by the servo's state; any other is that of a disable
+}  # by the servo's state; any other is a disable
 
 
 def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = False) -> Source:
-    """Trials on the device of a daemon; AnalysisError unless it is `disabled`, and for calibrations
-    that cannot be relied on, where they are not accepted as `uncalibrated`.
+    """Return a source of trials on the device of a daemon. AnalysisError unless it is `disabled`,
+    and for doubtful calibrations, unless accepted with `uncalibrated`.
     """
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
@@ -103,7 +104,7 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
             bench.wait_for("enabled")
             bench.perturb_start(
                 loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S)
-            )  # if we are killed, it ends
+            )  # it ends if this process is killed
             return LiveRecording(bench, servo, doubtful, trial, lease).recorded(origin, tell)
         finally:
             _leave(bench, lease)
@@ -128,7 +129,7 @@ def _waveform(trial: Trial) -> Floats:
 
 
 def allowed_waveform(trial: Trial, limit_n: float) -> Floats:
-    """The perturbation (n,) [N] at 4 kHz. AnalysisError where it exceeds the probe's `limit_n`."""
+    """Return the perturbation (n,) [N] at 4 kHz. AnalysisError above the probe's `limit_n`."""
     waveform = _waveform(trial)
     peak_n = float(np.abs(waveform).max())
     if peak_n <= limit_n:
@@ -144,8 +145,8 @@ def allowed_waveform(trial: Trial, limit_n: float) -> Floats:
 
 
 def _leave(bench: Client, lease: ClientLease) -> None:
-    """Force off whatever happened; a stop or a fault has done so already. Nothing is left to do if
-    the lease was lost: it disabled as it ended, or the device is another's.
+    """Switch the force off in any case; a stop or a fault has done so already. If the lease was
+    lost, do nothing: the device was disabled with it, or another client holds it.
     """
     try:
         lease.renew()
@@ -160,9 +161,7 @@ def _leave(bench: Client, lease: ClientLease) -> None:
 
 
 class LiveRecording:
-    """One trial while it is received: the probe's samples so far, and what the ticks beside them
-    say.
-    """
+    """One trial during reception: the probe's samples so far, and a summary of the ticks."""
 
     def __init__(
         self,
@@ -172,7 +171,7 @@ class LiveRecording:
         trial: Trial,
         lease: ClientLease,
     ) -> None:
-        """`servo` is what its hello says, `doubtful` the calibrations not to be relied on."""
+        """`servo` is the content of its hello, `doubtful` the doubtful calibrations."""
         self._lease = lease
         self._renewed = 0  # samples
         ends = servo["environment"]["workspace"]
@@ -188,11 +187,11 @@ class LiveRecording:
         )  # fmt: skip
         self._monitor = TrialMonitor(watch, PROBE_RATE_HZ)
         self._gaps = GapFiller()
-        # (2, n) force and velocity, and which came
+        # (2, n) force and velocity, and which were received
         self._parts: list[tuple[Floats, Flags]] = []
         self._taken = 0  # samples
         self._command_n = 0.0  # largest so far
-        self._positions_m = (nan, nan)  # least and most since the monitor looked
+        self._positions_m = (nan, nan)  # minimum and maximum since the last check
         self._began: Any = None  # the first tick that was perturbed
         self._newest: Any = None  # tick
 
@@ -210,8 +209,8 @@ class LiveRecording:
         return self._began is not None and bool(self._newest["revision"] != self._began["revision"])
 
     def _slow_start(self, settle: int) -> TrialEnd | None:
-        """Why the record cannot begin with this block, which is the first one after `settle`
-        samples: ramps that wait for their energy last longer than that.
+        """Return why the record cannot begin with this block, the first one after `settle` samples:
+        ramps that wait for their energy last longer than that.
         """
         before = self._taken - self._parts[-1][1].size
         rising = self._newest is not None and self._newest["gain"] < 1.0
@@ -222,7 +221,7 @@ class LiveRecording:
         return nan if self._newest is None else float(self._newest["winding_c"])
 
     def recorded(self, origin: str, tell: Progress) -> TrialRecord:
-        """Receive to the end, or to where the monitor or the servo ends it. DaemonDown if no
+        """Receive until the end, or until the monitor or the servo ends the trial. DaemonDown if no
         samples arrive for 2 s.
         """
         settle = round(SETTLE_S * PROBE_RATE_HZ)
@@ -241,7 +240,7 @@ class LiveRecording:
                 ended = self._slow_start(settle) or self._monitor.see(
                     force, velocity, self._winding_c, self._command_n, self._positions_m
                 )
-            self._positions_m = (nan, nan)  # what was before it settled is no matter
+            self._positions_m = (nan, nan)  # positions before settling do not count
             if ended or self._taken >= wanted:
                 break
         if not self._parts:
@@ -260,7 +259,7 @@ class LiveRecording:
         )  # fmt: skip
 
     def _renew(self) -> None:
-        """Keep the lease. That it is lost the ticks tell: the perturbation ends with it."""
+        """Renew the lease. The ticks show its loss: the perturbation ends with it."""
         if self._taken - self._renewed >= RENEW_S * PROBE_RATE_HZ:
             self._renewed = self._taken
             with suppress(CommandError):
@@ -290,14 +289,14 @@ class LiveRecording:
         }
 
     def _mark(self, settle: int) -> dict[str, int]:
-        """Where the mark began, in samples of the record; {} without one."""
+        """Return where the mark began, in samples of the record; {} without one."""
         if not self._marked:
             return {}
         marks = find_marks(np.concatenate([values[0] for values, _ in self._parts])[:settle])
         return {MARK_SAMPLE: marks[0].row - settle} if marks else {}
 
     def _probe_blocks(self) -> Iterator[Block]:
-        """Blocks of the probe, after the ticks before each were read; none after the servo is no
+        """Yield blocks of the probe, after reading the ticks before each; stop when the servo is no
         longer enabled or was changed.
         """
         decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}
@@ -325,7 +324,7 @@ class LiveRecording:
         self._command_n = max(
             self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max())
         )
-        # fmin and fmax pass over the NaN that stands for nothing yet
+        # fmin and fmax ignore the initial NaN
         at_m = [*self._positions_m, *ticks["position_m"]]
         self._positions_m = (float(np.fmin.reduce(at_m)), float(np.fmax.reduce(at_m)))
         playing = ticks[ticks["perturbing"] != 0]
@@ -339,7 +338,7 @@ class LiveRecording:
 
 
 def _gone(status: Status) -> TrialEnd | None:
-    """Why the servo is no longer enabled; None if it is."""
+    """Return why the servo is no longer enabled; None if it is."""
     state = status.state
     if state == "enabled":
         return None
@@ -350,7 +349,7 @@ def _gone(status: Status) -> TrialEnd | None:
 
 
 def signals(probe: Block) -> Floats:
-    """Force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
+    """Return force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
     scales = {name: probe.header["scale"][name] for name in ("torque", "velocity")}
     return np.stack(
         [

@@ -1,9 +1,9 @@
 """A trial of a scene by the whole product on virtual time.
 
-The stack comes up as after `hapticd run`: enabled at rest and the gain ramped to 1. Then, at one
-tick, the perturbation starts and the scene's damping steps begin to count. The records begin at
-that tick: positions and forces as the servo knew them, torque and velocity as the probe frames
-brought them. Converters of the wire quantise, whether the scene asks for it or not.
+The stack starts as with `hapticd run`: enabled at rest and the gain ramped to 1. Then, at one tick,
+the perturbation starts and the scene's damping steps begin to count. The records begin at that
+tick: positions and forces in the servo, torque and velocity from the probe frames. Converters of
+the wire quantise, whatever the scene's effects.
 """
 
 from collections.abc import Sequence
@@ -48,8 +48,8 @@ def run_lockstep(
     """Run the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s,
     level Ns/m).
 
-    AnalysisError for a record of more than 131 s; LinkError if the stack did not run it without a
-    flaw.
+    AnalysisError for a record of more than 131 s; LinkError if the stack did not run it without
+    errors.
     """
     force = np.asarray(torque_n, np.float64)
     if force.size > PERTURBATION_SAMPLES:

@@ -1,21 +1,21 @@
-"""A map of the passive set: a grid of K, B and M, at any damping levels, as the paper's 13 days of
-trials, but thriftier.
+"""A map of the passive set: a grid of K, B and M at any damping levels, as in the paper's 13 days
+of trials, with fewer trials.
 
-Everything is predicted first, in about a second. Trials are made where the prediction may be wrong:
-where it changes when the environment is scaled by 1 -+ `near` (15 %), and at grid points whose
-neighbour is predicted otherwise. The rest keeps its prediction, marked so; `everywhere` makes every
-trial, there with one sub-step, which is enough to tell what is far from the boundary. `refine` then
-halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are
-unlike; every other new point gets the mean of its neighbours' margins, so where both pass it passes
-too. That is the same linear margin between corners that counts volumes (`signal.passive_set`).
+The whole grid is predicted first, in about a second. Trials run where the prediction may be wrong:
+where it changes when the environment is scaled by 1 -+ `near` (15 %), and at grid points with a
+neighbour of the opposite prediction. The rest keeps its prediction, marked so. `everywhere` runs
+every trial, with one sub-step elsewhere, which suffices far from the boundary. `refine` then halves
+the grid: a trial runs in the middle of two neighbours along an axis with different answers. Every
+other new point gets the mean of its neighbours' margins, so it passes if both pass. That is the
+linear margin between corners that also gives volumes (`signal.passive_set`).
 
-Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted,
-or is asked again with a wider grid, makes only the trials that are missing. Tasks run on any
+Outcomes go to an append-only store, keyed by everything that they depend on. If a map is
+interrupted, or requested again with a wider grid, only the missing trials run. Tasks run on any
 executor of concurrent.futures; results do not depend on it.
 
-Limitations: a device whose prediction is off by more than `near` (the limits say by how much it
-is); then `everywhere`. And a hole in the set that is smaller than a cell; no finer grid finds it
-where coarse neighbours agree.
+Limitations: a device whose prediction is wrong by more than `near` (the limits show its error); use
+`everywhere` then. A hole in the set smaller than a cell is not found where the coarse neighbours
+agree.
 """
 
 from concurrent.futures import Executor
@@ -79,9 +79,7 @@ class MapParams:
 
 @dataclass(frozen=True, eq=False)
 class LevelPlan:
-    """One damping level: the whole grid's prediction, and which points (N,) are near its
-    boundary.
-    """
+    """One damping level: the grid's prediction, and which points (N,) are near its boundary."""
 
     active_damping_ns_per_m: float
     prediction: Prediction
@@ -90,14 +88,14 @@ class LevelPlan:
 
 @dataclass(frozen=True, eq=False)
 class MapPlan:
-    """What will be tried."""
+    """The planned trials."""
 
     params: MapParams
     levels: tuple[LevelPlan, ...]
 
     @property
     def trials(self) -> int:
-        """Without refinement, and if the store had none."""
+        """Number of trials without refinement and with an empty store."""
         return sum(
             level.near.size if self.params.everywhere else int(level.near.sum())
             for level in self.levels
@@ -106,10 +104,8 @@ class MapPlan:
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
-    """The set at one level, on the halved grid if it was refined; `tried` (N,) tells its points
-    with a trial from others.
-
-    `envelope` is None if no trial passed.
+    """The set at one level, on the refined grid if it was refined; `tried` (N,) marks points with a
+    trial. `envelope` is None if no trial passed.
     """
 
     active_damping_ns_per_m: float
@@ -117,12 +113,12 @@ class LevelMap:
     tried: Flags
     outcomes: tuple[Outcome, ...]
     envelope: Envelope | None
-    disagreements: int  # trials that came out unlike their prediction
+    disagreements: int  # trials that contradict their prediction
 
 
 @dataclass(frozen=True, eq=False)
 class MapResult:
-    """One map a level. `made` trials were new, the rest came from the store."""
+    """One map per level. `made` trials were new, the rest came from the store."""
 
     plan: MapPlan
     levels: tuple[LevelMap, ...]
@@ -130,14 +126,13 @@ class MapResult:
 
     @property
     def judged(self) -> Judged:
-        """From where to where every trial was judged."""
+        """The range of frequencies judged in every trial."""
         return judged(outcome for level in self.levels for outcome in level.outcomes)
 
 
 def params_about(limits: LimitsResult) -> MapParams:
-    """A map that holds the `limits` along the axes, at their levels and conditions.
-
-    AnalysisError: K = B = M = 0 is not passive, so there is no set to map.
+    """Return a map that contains the `limits` along the axes, at their levels and conditions.
+    AnalysisError if K = B = M = 0 is not passive, because there is then no set to map.
     """
     largest = [0.0, 0.0, 0.0]
     for limit in limits.limits:
@@ -157,7 +152,7 @@ def params_about(limits: LimitsResult) -> MapParams:
 
 
 def plan_map(params: MapParams) -> MapPlan:
-    """Predict the grid and choose. AnalysisError for axes that do not ascend or are too many
+    """Predict the grid and choose the trials. AnalysisError for axes that do not ascend or too many
     points; ConfigError as `compose`.
     """
     ascending(params.axes)
@@ -189,10 +184,10 @@ def run_map(
     executor: Executor | None = None,
     on_outcomes: OnOutcomes = lambda new: None,
 ) -> MapResult:
-    """Run the trials that the store lacks; `on_outcomes` receives the new outcomes of each task.
+    """Run the trials missing from the store; `on_outcomes` receives the new outcomes of each task.
 
-    KeyboardInterrupt passes through after the tasks under way were cancelled; what was finished is
-    in the store.
+    KeyboardInterrupt propagates after the running tasks were cancelled; finished trials are in the
+    store.
     """
     total = plan.trials
     before = len(store.known)
@@ -209,9 +204,9 @@ def run_map(
 
 
 def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
-    """The map of a run that has ended, of its kept trials alone: nothing is simulated.
+    """Return the map of a finished run, from its stored trials alone: nothing is simulated.
 
-    Where the store has trials by other keys only, those of another version, they are matched by
+    If the store has trials under other keys only, those of another version, they are matched by
     level and environment.
     """
     every = [restored(line) for line in store.known.values() if "environment" in line]
@@ -234,7 +229,7 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
 def _of_its_own(
     conditions: Conditions, level: float, points: tuple[Point, ...], store: TrialStore
 ) -> dict[Point, Outcome]:
-    """Outcomes at `points` that were made under these conditions, the finer ones first."""
+    """Return outcomes at `points` made under these conditions, the finer ones first."""
     batches = [
         TrialBatch(given, level, points) for given in (replace(conditions, substeps=1), conditions)
     ]
@@ -247,7 +242,7 @@ def _of_its_own(
 
 
 def _of_kept(params: MapParams, level: LevelPlan, known: dict[Point, Outcome]) -> LevelMap:
-    """The map of a level from outcomes that are there already."""
+    """Return the map of a level from existing outcomes."""
     search = _mapped(params, replace(level, near=np.ones_like(level.near)))
     batches = next(search)
     while True:
@@ -278,7 +273,7 @@ def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
 
 
 def _batches(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
-    """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
+    """Return trials near the boundary as requested, elsewhere with one sub-step."""
     conditions = params.conditions
     points = level.prediction.points
     batches = [TrialBatch(conditions, level.active_damping_ns_per_m, points_of(points[level.near]))]
@@ -294,7 +289,7 @@ def _batches(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
 
 
 def _at_border(axes: Axes, passive: Flags) -> Flags:
-    """(N,) points with a neighbour along an axis that is predicted otherwise."""
+    """Return (N,) points with a neighbour along an axis of the opposite prediction."""
     cube = passive.reshape([axis.size for axis in axes])
     found = np.zeros_like(cube)
     for low, high in map(_neighbours, range(3)):
@@ -305,7 +300,7 @@ def _at_border(axes: Axes, passive: Flags) -> Flags:
 
 
 def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Where all points of a grid stand but the last along an axis, and all but the first."""
+    """Return slices of all points of a grid but the last along an axis, and but the first."""
     low = [slice(None)] * 3
     high = [slice(None)] * 3
     low[place] = slice(None, -1)
@@ -314,7 +309,7 @@ def _neighbours(place: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 
 
 def _learnt(found: PassiveSet, outcomes: list[Outcome]) -> PassiveSet:
-    """With the margins of trials: negative where one does not pass, nan where it escapes."""
+    """Return the set with the margins of trials: negative if a trial fails, nan if it escapes."""
     margin = found.margin.copy()
     for outcome in outcomes:
         value = abs(outcome.margin_ns_per_m)
@@ -339,7 +334,7 @@ def _level_map(
 
 
 def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
-    """Trials that came out unlike their prediction; those between the points of the plan are
+    """Return the number of trials that contradict their prediction; points outside the plan are
     predicted here.
     """
     expected = dict(zip(points_of(level.prediction.points), level.prediction.passive, strict=True))
@@ -351,7 +346,7 @@ def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int
 
 
 def between(found: PassiveSet) -> list[Point]:
-    """Midpoints (K, B, M) [N/m, N s/m, kg] of neighbours along an axis of unlike answers."""
+    """Return midpoints (K, B, M) [N/m, N s/m, kg] of neighbours with different answers."""
     cube = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1)
     middles: list[Point] = []
     for low, high in map(_neighbours, range(3)):
@@ -361,7 +356,7 @@ def between(found: PassiveSet) -> list[Point]:
 
 
 def halved(found: PassiveSet) -> PassiveSet:
-    """The set on the finer grid: means between neighbours; nan, so not passive, beside a nan."""
+    """Return the set on the finer grid: means between neighbours; nan next to a nan."""
     margin = found.margin
     for place in range(3):
         margin = np.apply_along_axis(_with_means, place, margin)
@@ -370,7 +365,7 @@ def halved(found: PassiveSet) -> PassiveSet:
 
 
 def place_of(found: PassiveSet, point: Point) -> tuple[int, ...]:
-    """Indices of a point of the grid."""
+    """Return the indices of a point of the grid."""
     return tuple(
         int(np.searchsorted(axis, value)) for axis, value in zip(found.axes, point, strict=True)
     )

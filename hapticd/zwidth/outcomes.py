@@ -1,28 +1,28 @@
-"""Many simulated trials at once, each reduced to what a study of many keeps: the verdict, its
-margins, and Z at some 120 frequencies.
+"""Many simulated trials at once, each reduced to an outcome: the verdict, its margins, and Z at
+about 120 frequencies.
 
-Trials are simulated and transformed together (`keep="spectra"`); a record is made only of those
-whose verdict needs it. What `examine` reads off a record is taken from sums: energy from the work
-of each tick, an escape from the rms velocity of every second.
+Trials are simulated and transformed together (`keep="spectra"`). Records are made only for trials
+whose verdict needs them. Sums replace the parts that `examine` takes from a record: energy from the
+work of each tick, an escape from the rms velocity of every second.
 
-The engine counts in float32. Margins agree with float64 to 1.3e-6 of |Z| (median 4e-7) where
-nothing is rounded; where positions and commands are counted, or friction sticks, to 2e-5 in the
-median and 3e-4 at most, for states that differ by 1e-10 m fall on other counts and the motions
-part. Deciding in float64 on float32 states changes nothing of that; `dtype="f64"` does.
+The engine computes in float32. Margins agree with float64 to 1.3e-6 of |Z| (median 4e-7) without
+rounding of signals. With counted positions and commands, or stiction, they agree to 2e-5 in the
+median and 3e-4 at most, because states that differ by 1e-10 m fall on other counts and the motions
+diverge. Judging float32 states in float64 changes nothing; `dtype="f64"` does.
 
-A task travels as parameters and comes back as 5 kB a trial, so it may run in a thread or in another
-process; the same task gives the same outcome wherever it runs. `passes` is the paper's rule: all
-phases of the whole band within +-90 degrees, the loop stable, the command below its limit. `answer`
-is the verdict with its intervals. A trial that diverged has no spectra.
+A task is sent as parameters and returns 5 kB per trial, so it may run in a thread or in another
+process. The same task gives the same outcome anywhere. `passes` is the paper's rule: all phases of
+the whole band within +-90 degrees, the loop stable, the command below its limit. `answer` is the
+verdict with its intervals. A trial that diverged has no spectra.
 
 A procedure is a generator that yields batches (trials under one set of conditions), is sent their
-outcomes, yields more, and returns its result. `run_all` runs any number of procedures side by side.
-A trial's key is the hash of what it depends on, so a trial that the store has is never simulated
-again, whichever procedure asks for it. Each task is stored as soon as it is finished; tasks that
-have not begun are cancelled when the caller stops.
+outcomes, yields more, and returns its result. `run_all` runs any number of procedures together. A
+trial's key is the hash of its dependencies, so a trial in the store is never simulated again,
+whichever procedure requests it. Each task is stored when it finishes; tasks that have not started
+are cancelled when the caller stops.
 
-Anything random must be drawn by what a trial's key is made of, not by its place in its task; a map
-that is continued, or cut into other tasks, would otherwise be another map.
+Random numbers must depend on the parts of a trial's key, not on its position in its task. A map
+that is continued, or cut into other tasks, would otherwise change.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -65,8 +65,8 @@ __all__ = [
     "run_trials",
 ]
 
-TOGETHER = LANES["f32"]  # trials that the engine does at once
-GROUPS = 4  # of so many in a task: the trials that need their records are simulated together
+TOGETHER = LANES["f32"]  # trials that the engine runs at once
+GROUPS = 4  # groups per task: trials that need their records are simulated together
 TASKS = 8  # of a batch, before its tasks grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
@@ -78,7 +78,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What many trials have in common: all but K, B, M and the active damping."""
+    """The common conditions of many trials: all but K, B, M and the active damping."""
 
     scene: Scene
     seconds: float = 90.0  # of one trial; section 2.2 of the paper
@@ -87,20 +87,20 @@ class Conditions:
     confidence: float = 0.95
     substeps: int = 4  # per 4 kHz sample
     dtype: str = "f32"  # of the engine: f32 or f64
-    below_window: bool = False  # the band may begin below 1/(M T): read what the window makes of it
+    below_window: bool = False  # the band may begin below 1/(M T), with smoothed values
 
     @property
     def display(self) -> Display:
-        """The device, prepared, with what is predicted of it under these conditions."""
+        """The device, prepared, with its predictions under these conditions."""
         return display(self.scene, self.excitation)
 
     @property
     def criteria(self) -> Criteria:
-        """How its trials are judged."""
+        """The criteria of its verdicts."""
         return Criteria(self.band_hz, self.confidence, below_window=self.below_window)
 
     def perturbed(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
-        """With the force multiplied by `amplitude`, and other noise."""
+        """Return the conditions with the force multiplied by `amplitude`, and other noise."""
         source = self.excitation
         changed = replace(
             source, psd_n2_per_hz=source.psd_n2_per_hz * amplitude**2, seed=source.seed + more_seed
@@ -111,27 +111,26 @@ class Conditions:
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """One trial; `z` (F, 2) real and imaginary part [N s/m] and `relative_sd` (F,) at
-    `frequency_hz`, empty if diverged; nan and inf at an edge that was not judged.
-
-    `first_judged_hz`, `last_judged_hz`: nan if diverged.
+    `frequency_hz`, empty if it diverged; nan and inf at an edge that was not judged.
+    `first_judged_hz`, `last_judged_hz`: nan if it diverged.
     """
 
     environment: Point
     active_damping_ns_per_m: float  # active damping
     answer: str  # passive, not_passive or undecided
     passes: bool  # by the paper's rule
-    margin_ns_per_m: float  # least Re Z
+    margin_ns_per_m: float  # minimum of Re Z
     margin_lower: float  # N s/m
     margin_upper: float  # N s/m
-    margin_deg: float  # least 90 degrees - |phase|
-    worst_hz: float  # of the least Re Z
+    margin_deg: float  # minimum of 90 degrees - |phase|
+    worst_hz: float  # of the minimum Re Z
     velocity_sd: float  # m/s
     max_force_n: float  # largest command
     z: Floats
     relative_sd: Floats
     first_judged_hz: float = nan
     last_judged_hz: float = nan
-    band_hz: tuple[float, float] | None = None  # that was asked for
+    band_hz: tuple[float, float] | None = None  # requested
 
     @property
     def frequency_hz(self) -> Floats:
@@ -146,8 +145,9 @@ OnBatch = Callable[[int, "TrialBatch", list[Outcome]], None]
 
 @lru_cache
 def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
-    """Frequencies (F,) at which Z of a trial is kept: lines of the window evenly in ln f, and the
-    edges of the judged band."""
+    """Return frequencies (F,) at which Z of a trial is stored: lines of the window evenly in ln f,
+    and the edges of the judged band.
+    """
     return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
 
 
@@ -203,7 +203,7 @@ def _simulated(
 
 
 def _shared_transform(records: BatchResult) -> Complexes | None:
-    """The transform of the force (N/2 + 1,), if all trials have the same."""
+    """Return the transform of the force (N/2 + 1,), if all trials share it."""
     force = records.torque_n
     return None if force is None or force.ndim > 1 else np.fft.rfft(np.asarray(force, np.float64))
 
@@ -249,8 +249,9 @@ def _outcome(
 
 
 def _kept_impedance(spectra: Spectra, band_hz: tuple[float, float]) -> Floats:
-    """(F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`; nan and
-    inf at an edge that is left out."""
+    """Return (F, 3) real and imaginary part of Z and its relative deviation at `kept_frequencies`;
+    nan and inf at a missing edge.
+    """
     f = kept_frequencies(band_hz)
     found = np.tile((nan, nan, inf), (f.size, 1))
     at = np.minimum(np.searchsorted(spectra.frequency_hz, f), spectra.frequency_hz.size - 1)
@@ -269,7 +270,7 @@ def _rows(spectra: Spectra) -> Floats:
 
 
 def _measured(found: BatchResult, trial: int) -> MeasuredTrial:
-    """The spectra of a trial, with what its sums say of its samples."""
+    """Return the spectra of a trial, with the summary of its samples from sums."""
     assert found.section_rms_m_per_s is not None
     rms = found.section_rms_m_per_s[trial]
     pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
@@ -284,7 +285,7 @@ def _measured(found: BatchResult, trial: int) -> MeasuredTrial:
 
 
 def restored(line: Mapping[str, Any]) -> Outcome:
-    """An outcome from a store; what was not finite is nan."""
+    """Return an outcome from a store; null becomes nan."""
     values: dict[str, Any] = {name: nan if value is None else value for name, value in line.items()}
     values["environment"] = tuple(values["environment"])
     values["z"] = np.asarray(values["z"], np.float64).reshape(-1, 2)
@@ -296,7 +297,7 @@ def restored(line: Mapping[str, Any]) -> Outcome:
 
 
 def judged(outcomes: Iterable[Outcome]) -> Judged:
-    """From where to where every one of them was judged that did not run away."""
+    """Return the range of frequencies judged in every trial that did not run away."""
     ends = [
         (one.first_judged_hz, one.last_judged_hz)
         for one in outcomes
@@ -308,8 +309,8 @@ def judged(outcomes: Iterable[Outcome]) -> Judged:
 
 
 def envelope_of(outcomes: list[Outcome]) -> Envelope:
-    """The envelope over the trials that pass, each point with the trial that owns it.
-    AnalysisError if none does.
+    """Return the envelope over the trials that pass, each point with its owner. AnalysisError if
+    none passes.
     """
     each = [_envelope(outcome) for outcome in outcomes if outcome.passes]
     if not each:
@@ -346,13 +347,13 @@ class TrialBatch:
         return {point: fingerprint((*shared, point))[:32] for point in self.points}
 
     def known(self, store: TrialStore) -> list[Outcome]:
-        """Its outcomes that are in the store."""
+        """Return its outcomes in the store."""
         return [restored(store.known[key]) for key in self.keys.values() if key in store.known]
 
     def tasks(self, store: TrialStore) -> list[Floats]:
-        """Points (n, 3) that the store has not, as many together as the engine does at once, or
-        several times as many where tasks are plenty. The last tasks are small, so that no core
-        waits long for another.
+        """Return the points (n, 3) missing from the store, in groups of the engine's batch size, or
+        of several times that size if there are many tasks. The last tasks are small, so that no
+        core waits long for another.
         """
         missing = [point for point, key in self.keys.items() if key not in store.known]
         size = TOGETHER * min(max(1, len(missing) // (TASKS * TOGETHER)), GROUPS)
@@ -362,7 +363,7 @@ class TrialBatch:
 
 
 def points_of(rows: Floats) -> tuple[Point, ...]:
-    """Environments (N, 3) as they are keyed."""
+    """Return environments (N, 3) as keys."""
     return tuple((float(k), float(b), float(m)) for k, b, m in rows)
 
 
@@ -370,8 +371,9 @@ def run_all(
     procedures: Sequence[Procedure[T]], store: TrialStore, executor: Executor | None,
     on_batch: OnBatch = lambda place, batch, new: None,
 ) -> list[T]:  # fmt: skip
-    """The results of the procedures, whose trials run on `executor` or on threads of this process.
-    `on_batch` receives the place of a procedure, its batch, and the new outcomes of each task.
+    """Return the results of the procedures, whose trials run on `executor` or on threads of this
+    process. `on_batch` receives the index of a procedure, its batch, and the new outcomes of each
+    task.
 
     Each procedure waits for one request at a time; the others keep the cores busy. If `on_batch`
     raises, the remaining tasks are cancelled.
@@ -381,7 +383,7 @@ def run_all(
     waiting: dict[Future[list[Outcome]], tuple[int, TrialBatch]] = {}
 
     def goes_on(place: int) -> None:
-        """Run a procedure until it ends, or waits for trials that the store lacks."""
+        """Run a procedure until it ends, or waits for missing trials."""
         while not any(owner == place for owner, _ in waiting.values()):
             found: Any = (
                 [outcome for batch in asked[place] for outcome in batch.known(store)]
@@ -418,7 +420,7 @@ def run_all(
 
 
 def outcomes_of(batch: TrialBatch, store: TrialStore) -> list[Outcome]:
-    """Outcomes of one batch; trials that the store lacks run on threads of this process."""
+    """Return the outcomes of one batch; missing trials run on threads of this process."""
 
     def asking() -> Procedure[list[Outcome]]:
         return (yield [batch])

@@ -1,19 +1,17 @@
-"""NAME.zwidth: one display's Z-width in a small JSON file that can be passed on and laid beside
-others.
+"""NAME.zwidth: one display's Z-width in a small JSON file, to pass on and to compare with others.
 
-It holds the envelopes with their owners and uncertainty, the axis limits, the conditions under
-which they were found, and the hash of the device file that they belong to: a file that was edited
-since is another device. Where its rig has a certificate, that is named, and whether the device file
-had changed since.
+It holds the envelopes with their owners and uncertainty, the axis limits, their conditions, and the
+hash of the device file: a file edited since then is another device. If the rig has a certificate,
+the file names it, and whether the device file had changed since.
 
-`compare` reads several of them, checks that they are comparable, and divides by the mass that
-moves. Numbers of two displays are comparable where they were asked for in one way: band, judged
-frequencies, perturbation, length of a trial, confidence, port and estimator. What is unlike is
-refused by name unless it was allowed, and an allowed difference is named with the result. The
-perturbation counts as alike if its force is the same, or the same per mass (`signal.compare`).
+`compare` reads several of them, checks that they are comparable, and divides by the moving mass.
+Numbers of two displays are comparable under equal conditions: band, judged frequencies,
+perturbation, length of a trial, confidence, port and estimator. Differences are refused by name
+unless allowed, and an allowed difference is named with the result. The perturbation counts as alike
+if its force is the same, or the same per mass (`signal.compare`).
 
-Limitations: a device file that was edited without a new name, which the hash shows only to those
-who have the older file.
+Limitations: a device file edited without a new name; the hash shows it only to users with the older
+file.
 """
 
 import hashlib
@@ -64,8 +62,8 @@ NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidt
 
 
 def device_path(name: str) -> Path:
-    """The shipped device file `name`, the device file that `name` is, or the one that a scene's
-    file of that name names. ConfigError if there is none.
+    """Return the path of the shipped device file `name`, of the device file `name`, or of the
+    device file that the scene file `name` refers to. ConfigError if there is none.
     """
     path = Path(name)
     if path.suffix != ".toml":
@@ -75,7 +73,7 @@ def device_path(name: str) -> Path:
 
 
 def device_hash(name: str) -> str:
-    """SHA-256 (hex) of the device file that `device_path` finds."""
+    """Return the SHA-256 (hex) of the device file that `device_path` finds."""
     return hashlib.sha256(device_path(name).read_bytes()).hexdigest()
 
 
@@ -88,8 +86,8 @@ def portable(
     numbers: Iterable[Any] = (),
     certificate: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The content of such a file, as JSON: `envelopes` by active damping [Ns/m], in SI units.
-    `certificate`: what is to be said of the rig's.
+    """Return the content of such a file, as JSON: `envelopes` by active damping [Ns/m], in SI
+    units. `certificate`: description of the rig's.
     """
     drawn = [
         {"active_damping_ns_per_m": level, "envelope": found}
@@ -109,8 +107,8 @@ def portable(
 
 
 def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
-    """What others say of a display in one number, of its map at one level; how far it is free
-    as predicted.
+    """Return the usual single numbers of a display, from its map at one level; its zero-mass
+    bandwidth is predicted.
     """
     f = outcomes.kept_frequencies()
     free = display.impedances(np.zeros((1, 3)), level.active_damping_ns_per_m, f)[0]
@@ -123,7 +121,7 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 
 
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
-    """Under which all of it was found, as `signal.compare` asks for it."""
+    """Return the conditions of all of it, in the form of `signal.compare`."""
     model = conditions.display.model
     return {
         "seconds": conditions.seconds,
@@ -143,7 +141,7 @@ def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, 
 
 
 def read_portable(path: Path) -> dict[str, Any]:
-    """The content of `path`. ConfigError if it is no such file."""
+    """Return the content of `path`. ConfigError if it is not such a file."""
     try:
         content = dict(json.loads(regular(path, SAMPLES_BYTES).read_text()))
     except (OSError, ValueError, TypeError) as error:
@@ -158,8 +156,8 @@ def read_portable(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far one of K, B, M goes alone [N/m, N s/m, kg], the interval of that, and the same
-    per kg of moving mass.
+    """The limit of one of K, B, M alone [N/m, N s/m, kg], its interval, and the limit per kg of
+    moving mass.
     """
 
     name: str
@@ -171,8 +169,8 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What is known at one active damping [N s/m]: the envelope [N s/m], the same per mass [1/s],
-    limits, and other people's numbers.
+    """The data at one active damping [N s/m]: the envelope [N s/m], the same per mass [1/s],
+    limits, and the usual single numbers.
     """
 
     active_damping_ns_per_m: float
@@ -184,7 +182,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One display. `name`: the device, with its file where several have one name."""
+    """One display. `name`: the device, with its file if several share a name."""
 
     name: str
     conditions: EnvelopeConditions
@@ -193,8 +191,8 @@ class Compared:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two displays or more; `unlike`: what differs and was allowed, or is alike per force and
-    not per mass.
+    """Two displays or more; `unlike`: differences that were allowed, or are alike per force and not
+    per mass.
     """
 
     displays: tuple[Compared, ...]
@@ -202,15 +200,15 @@ class Comparison:
 
 
 def compare(paths: Iterable[Path], allow: Collection[str] = ()) -> Comparison:
-    """The displays in `paths`. ConfigError for a file that is no summary; AnalysisError for fewer
-    than two, for conditions that are unlike and not in `allow`, and for names in `allow` that are
-    no conditions.
+    """Compare the displays in `paths`. ConfigError for a file that is not a summary; AnalysisError
+    for fewer than two, for unlike conditions that are not in `allow`, and for names in `allow` that
+    are not conditions.
     """
     files = [(path, *_display(path)) for path in paths]
     if len(files) < 2:
         raise AnalysisError(
-            "one display is no comparison; name two files that `hapticd zwidth report` wrote, or"
-            " more"
+            "one display is not a comparison; give at least two files that `hapticd zwidth report`"
+            " wrote"
         )
     names = EnvelopeConditions.__dataclass_fields__
     if wrong := set(allow) - set(names):

@@ -1,17 +1,17 @@
-"""A trial as it was recorded, by whatever recorded it: a board, the batch engine, or another
-program's file.
+"""A recorded trial from any source: a board, the batch engine, or another program's file.
 
-Files: .csv with a header line of names, then a row a line, separated by comma, semicolon or tab:
-that of which the header line has most. With semicolon or tab a comma is a decimal one; empty lines
-and lines that begin with # hold no sample. .npz and .mat with named arrays; .h5 with named
-datasets. Force in N and velocity in m/s at the port, sampled together; the rate from `rate_hz`,
-from a column of seconds (`timestamps`), or as the user states it where the file does not say. If
-the two differ, the record is refused: every limit is proportional to the rate or its square. Rows
-that a column of seconds, or the counter that the user names, shows to be missing are filled in and
-counted, as those that a live trial loses are (`watch`). No column counts as a counter by its name.
+Files: .csv with a header line of names and one row per line, separated by the most frequent of
+comma, semicolon and tab in the header line. With semicolon or tab a comma is a decimal one; empty
+lines and lines that begin with # are skipped. .npz and .mat with named arrays; .h5 with named
+datasets. Force is in N and velocity in m/s at the port, sampled together. The rate comes from
+`rate_hz`, from a column of seconds (`timestamps`), or from the user if the file has neither. If two
+differ, the record is refused: every limit is proportional to the rate or its square. Missing rows,
+as shown by a column of seconds or by the counter that the user names, are filled and counted as the
+lost samples of a live trial are (`watch`). A column is never taken as a counter because of its
+name.
 
-Limitations: channels that were not sampled together, or in other units that are not far enough off
-to be suspected (`signal.channels`).
+Limitations: channels that were not sampled together, or wrong units that are too close to be
+detected (`signal.channels`).
 """
 
 import csv
@@ -68,7 +68,7 @@ TIMES = {
 RATES = ("rate_hz", "fs")
 SAME_RATE = 1e-6
 ALIKE = 0.01  # rates of a file's rate and its times
-# N, m/s: beyond them it is no measurement
+# N, m/s: values beyond them are not a measurement
 LARGEST = 1e12
 SMALLEST = 1e-20
 BROKEN = (
@@ -79,7 +79,7 @@ BROKEN = (
     csv.Error,
     BadZipFile,
     zlib.error,
-)  # what readers say of a broken file
+)  # errors of readers for a broken file
 
 
 def read_file(
@@ -89,13 +89,13 @@ def read_file(
     rate_hz: float | None = None,
     counter: str = "",
 ) -> TrialRecord:
-    """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns
-    where they are not the usual ones; `counter`: the column that numbers its samples. What this
-    package wrote itself (`hapticd_files`) needs none of them.
+    """Return the record in `path`, or in the run folder `path`. `force`, `velocity`: names of its
+    columns if they are not the usual ones; `counter`: the column that numbers its samples. Files of
+    this package (`hapticd_files`) need none of them.
 
-    `rate_hz`: where the file does not say, else the same. ConfigError for a file that is not there,
-    of an unknown kind, or with something else than numbers; AnalysisError for one without force,
-    velocity, rate or that counter, with gaps, or with another rate.
+    `rate_hz`: required if the file has no rate, otherwise equal to it. ConfigError for a missing
+    file, one of an unknown kind, or one with other content than numbers; AnalysisError for one
+    without force, velocity, rate or that counter, with gaps, or with another rate.
     """
     if path.is_dir():
         path = record_path(path)
@@ -121,7 +121,7 @@ def read_file(
             return _of_trial(path, columns, recorded)
     if counter:
         raise AnalysisError(
-            f"{path}: a recording numbers its samples itself, --counter {counter}: leave that out"
+            f"{path}: a recording numbers its samples itself, --counter {counter}: omit that option"
         )
     if rate_hz is not None and abs(rate_hz - ours.rate_hz) > SAME_RATE * ours.rate_hz:
         raise AnalysisError(
@@ -133,18 +133,18 @@ def read_file(
 
 @contextmanager
 def _whole_file(path: Path) -> Iterator[None]:
-    """ConfigError where something of what this package writes is missing or was changed."""
+    """Raise ConfigError if part of a file of this package is missing or was changed."""
     try:
         yield
     except (*BROKEN, LookupError, TypeError, AttributeError) as error:
         raise ConfigError(
-            f"{path}: hapticd wrote it, but it is no longer whole ({error!r}); take it from where"
-            " it was written"
+            f"{path}: hapticd wrote it, but it is damaged ({error!r}); copy it again"
+            " from its origin"
         ) from error
 
 
 def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
-    """The trial in an export of a recording; None of another file."""
+    """Return the trial in an export of a recording; None for another file."""
     if path.suffix == ".mat":
         found = _structures(columns)
         return of_recording(*found, path.name) if found else None
@@ -160,7 +160,7 @@ def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
 
 
 def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> TrialRecord:
-    """`recorded` with what the run folder of a trial, or the record itself, says of it."""
+    """Return `recorded` with the details from a trial's run folder, or from the record itself."""
     stated: Mapping[str, Any] = {}
     if "trial" in columns:
         stated = json.loads(np.asarray(columns["trial"]).item())
@@ -183,13 +183,13 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
 
 
 class ForeignSamples(NamedTuple):
-    """What another system recorded: channels (n,) at 4 kHz of its own clock."""
+    """The record of another system: channels (n,) at 4 kHz of its own clock."""
 
     force: Floats
     velocity: Floats
-    place: Integers  # (n,) of each row on its clock, from 0, as its counter or its times say
+    place: Integers  # (n,) of each row on its clock, from 0, from its counter or its times
     first: int  # number of the first row by its counter; 0 without one
-    rate_hz: float  # as it says itself
+    rate_hz: float  # as given in the file
     losses_by: LossesBy
     columns: Mapping[str, Floats]  # every column of numbers, by its name in lower case
 
@@ -197,8 +197,8 @@ class ForeignSamples(NamedTuple):
 def read_foreign(
     path: Path, force: str, velocity: str, rate_hz: float | None, counter: str = ""
 ) -> ForeignSamples:
-    """What another system recorded in `path`; 4 kHz where neither `rate_hz` nor the file says.
-    Names and errors as `read_file`.
+    """Return the record of another system in `path`; 4 kHz if neither `rate_hz` nor the file gives
+    the rate. Names and errors as `read_file`.
     """
     regular(path, SAMPLES_BYTES)
     if path.suffix not in READERS:
@@ -214,7 +214,7 @@ def _samples(
     counter: str,
     usual_hz: float | None = None,
 ) -> ForeignSamples:
-    """What any other program recorded; `usual_hz`: the rate where nothing says it."""
+    """Return the record of any other program; `usual_hz`: the rate if the file does not give it."""
     known = _numbers(columns)
     y, u = (
         _channel(path, known, name, usual)
@@ -238,13 +238,13 @@ def _samples(
 
 
 def _counted(path: Path, name: str, known: dict[str, Floats], count: int) -> tuple[Integers, int]:
-    """Places (n,) from 0 of `count` rows by the counter that the user names, and its first
-    number.
+    """Return positions (n,) from 0 of `count` rows from the counter that the user names, and its
+    first number.
     """
     if name.lower() not in known:
         raise AnalysisError(
             f"{path}: no column {name}; it has {', '.join(known)}; name its counter of samples with"
-            " --counter, or leave that out"
+            " --counter, or omit that option"
         )
     counts = _column(path, name, known[name.lower()])
     if counts.size != count:
@@ -258,9 +258,7 @@ def _counted(path: Path, name: str, known: dict[str, Floats], count: int) -> tup
 
 
 def _numbers(columns: dict[str, Any]) -> dict[str, Floats]:
-    """Columns of numbers, by their names in lower case; times as if their clock had not begun
-    anew.
-    """
+    """Return columns of numbers, by their names in lower case; clocks of times unwrapped."""
     known = {
         name.lower(): np.asarray(values, np.float64)
         for name, values in columns.items()
@@ -281,7 +279,7 @@ def _foreign(
     rate_hz: float | None,
     counter: str,
 ) -> TrialRecord:
-    """The record of any other program."""
+    """Return the record of any other program."""
     found = _samples(path, columns, stated, rate_hz, counter)
     recorded = TrialRecord(
         found.force, found.velocity, found.rate_hz, path.name, False,
@@ -319,8 +317,8 @@ def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str
 def _sampling(
     path: Path, known: dict[str, Floats], stated_hz: float | None, count: int
 ) -> Sampling:
-    """Rate, as stated or as the file says, and the places of the rows where its times show that
-    some are missing.
+    """Return the rate, from the user or the file, and the positions of the rows if its times show
+    gaps.
     """
     named = [(name, _single(path, name, known[name])) for name in RATES if name in known]
     times = next((name for name in TIMES if name in known and known[name].size > 1), "")
@@ -362,7 +360,7 @@ def _agrees(path: Path, stated_hz: float, said: list[tuple[str, float]], allowed
 
 
 def _single(path: Path, name: str, values: Floats) -> float:
-    """The one value of a column."""
+    """Return the single value of a column."""
     if np.isfinite(values).all() and np.ptp(values) > SAME_RATE * np.abs(values).max():
         raise AnalysisError(
             f"{path}: column {name} has values from {values.min():g} to {values.max():g} Hz; one"
@@ -389,7 +387,7 @@ def _usable(path: Path, rate_hz: float) -> None:
 
 
 def _by_times(path: Path, name: str, values: Floats, count: int) -> tuple[Sampling | None, str]:
-    """What a column of times says, or why it says nothing."""
+    """Return the sampling from a column of times, or the reason why there is none."""
     if values.size != count:
         return (
             None,
@@ -402,8 +400,8 @@ def _by_times(path: Path, name: str, values: Floats, count: int) -> tuple[Sampli
 
 
 def _rounding(time_s: Floats) -> float:
-    """Relative error of the rate, as the ends of a column of times (n,) are known to one step
-    at best.
+    """Return the relative error of the rate: the ends of a column of times (n,) are known to one
+    step at best.
     """
     return float(np.median(np.diff(time_s)[np.diff(time_s) > 0.0]) / (time_s[-1] - time_s[0]))
 
@@ -420,7 +418,7 @@ def _column(path: Path, name: str, values: Floats) -> Floats:
 
 
 def _columns(path: Path) -> dict[str, Any]:
-    """Named columns of a file, or arrays of other shapes. ConfigError for a broken one."""
+    """Return named columns of a file, or arrays of other shapes. ConfigError for a broken one."""
     try:
         return READERS[path.suffix](path)
     except BROKEN as error:
@@ -428,8 +426,8 @@ def _columns(path: Path) -> dict[str, Any]:
 
 
 def _read_csv(path: Path) -> dict[str, Floats]:
-    """Columns (N,) by name. ValueError that names the line and the column where a number was
-    expected, OSError, csv.Error.
+    """Return columns (N,) by name. ValueError, with line and column, where a number was expected;
+    OSError, csv.Error.
     """
     names, mark, rows = _rows(path)
     if not rows:
@@ -442,8 +440,8 @@ def _read_csv(path: Path) -> dict[str, Floats]:
 
 
 def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
-    """Names of the columns, what parts them, and the lines of samples, each with its number in the
-    file.
+    """Return the names of the columns, their separator, and the lines of samples, each with its
+    number in the file.
     """
     with path.open(newline="", encoding="utf-8-sig") as file:
         head = next(file, "")
@@ -460,7 +458,7 @@ def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
 
 
 def _wrong(names: list[str], mark: str, rows: list[tuple[int, str]]) -> str:
-    """The first line that is no row of numbers."""
+    """Describe the first line that is not a row of numbers."""
     for number, row in rows:
         cells = row.strip("\r\n").split(mark)
         if len(cells) != len(names):
@@ -496,7 +494,7 @@ def _read_mat(path: Path) -> dict[str, Any]:
         }
     except NotImplementedError:  # MATLAB 7.3 and later writes HDF5
         return _read_hdf5(path)
-    except (io.matlab.MatReadError, TypeError) as error:  # TypeError: of bytes that are no variable
+    except (io.matlab.MatReadError, TypeError) as error:  # TypeError: bytes are not a variable
         raise ValueError(str(error)) from error
 
 
@@ -516,7 +514,7 @@ READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
 
 
 def _structures(content: dict[str, Any]) -> tuple[ReadColumn, dict[str, Any]] | None:
-    """Columns and attributes of a MATLAB file that this package exported; None of another one."""
+    """Return columns and attributes of a MATLAB file of this package; None for another one."""
     groups = {
         name: values
         for name, values in content.items()

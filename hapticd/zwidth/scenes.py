@@ -1,12 +1,10 @@
-"""What procedures ask of a scene: its environment without walls, its damping level, itself without
-an effect, its impedance; and the device in it, composed once, with all that is predicted of it
-(`Display`).
+"""Properties of a scene for procedures: its environment without walls, its damping level, itself
+without an effect, its impedance; and its device, composed once, with all predictions (`Display`).
 
-Z is measured as the paper does it (noise at the probe, `signal.spectra`) and taken on frequencies
-that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
-has them on its grid too.
+Z is measured as in the paper (noise at the probe, `signal.spectra`) on frequencies evenly spaced in
+ln f. They are on the grid of the paper's window, so the grid of a longer window contains them too.
 
-A prediction and the trials that it is compared with must have the same perturbation.
+A prediction and the trials compared with it must have the same perturbation.
 """
 
 from dataclasses import dataclass, field, replace
@@ -53,23 +51,23 @@ __all__ = [
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation
 FREQUENCIES = 60
-# per 4 kHz sample: their error is below the chance of a 90 s trial (docs/development/accuracy.md)
+# per 4 kHz sample: error below the random error of a 90 s trial (docs/development/accuracy.md)
 SUBSTEPS = 4
 SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
 def level(scene: Scene) -> float:
-    """The highest active damping [Ns/m] of the scene."""
+    """Return the highest active damping [Ns/m] of the scene."""
     return max(step.level_ns_per_m for step in scene.active_damping)
 
 
 def free_of_walls(scene: Scene) -> Environment:
-    """The environment without its wall, which has no impedance of its own."""
+    """Return the environment without its wall, which has no impedance of its own."""
     return replace(scene.environment, wall=WallParams())
 
 
 def noise(scene: Scene) -> Excitation:
-    """The scene's own noise, or the paper's where the scene has none."""
+    """Return the scene's own noise, or the paper's if the scene has none."""
     return (
         scene.excitation
         if scene.excitation.kind == "noise"
@@ -79,12 +77,12 @@ def noise(scene: Scene) -> Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Display:
-    """A scene's device with its environment's filters, under the perturbation of its trials; as
-    `display` makes it.
+    """A scene's device with its environment's filters, under the perturbation of its trials; made
+    by `display`.
 
-    Passive is what the paper's rule calls so at that perturbation. Much of a device's damping may
-    be dry friction, which fades as the motion grows; `dry=False` therefore asks for passivity
-    without counting on it, at any amplitude.
+    Passive means passive by the paper's rule at that perturbation. Much of a device's damping may
+    be dry friction, which fades as the motion grows; `dry=False` therefore requires passivity
+    without it, at any amplitude.
     """
 
     scene: Scene
@@ -113,8 +111,8 @@ class Display:
         band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
         dry: bool = True,
     ) -> Prediction:
-        """Predict environments (N, 3) at a damping level [N s/m]; `dry`: with the friction as it is
-        at the perturbation, and as the trials record it.
+        """Predict environments (N, 3) at a damping level [N s/m]; `dry`: with the friction at the
+        perturbation, and as the trials record it.
         """
         return predict(
             self.model,
@@ -133,7 +131,7 @@ class Display:
         band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
         dry: bool = True,
     ) -> Flags:
-        """(N,) at the perturbation; without `dry` also at any larger one."""
+        """Return (N,) at the perturbation; without `dry` also at any larger one."""
         found = self.predicted(points, level, band_hz).passive
         return (
             found
@@ -142,7 +140,7 @@ class Display:
         )
 
     def impedances(self, points: Floats, level: float, frequency_hz: Floats) -> Complexes:
-        """Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as trials record it."""
+        """Return Z (N, F) [N s/m] of environments (N, 3) at `frequency_hz` (F,) as recorded."""
         return recorded_impedances(
             self.model, points, frequency_hz, level, self.filters, self.perturbation
         )
@@ -150,7 +148,7 @@ class Display:
 
 @lru_cache(maxsize=64)
 def display(scene: Scene, excitation: Excitation | None = None) -> Display:
-    """The scene's device, composed once, under `excitation`, by default its own noise.
+    """Return the scene's device, composed once, under `excitation`, by default its own noise.
     ConfigError as `compose`.
     """
     return Display(scene, excitation or noise(scene), _composed(scene))
@@ -160,7 +158,7 @@ _composed = lru_cache(maxsize=64)(compose)
 
 
 def candidates(scene: Scene) -> tuple[str, ...]:
-    """Effects that can be left out."""
+    """Return the effects that can be left out."""
     return tuple(effect.key for effect in scene.effects if effect.key not in ALWAYS)
 
 
@@ -172,7 +170,7 @@ def without(scene: Scene, *keys: str) -> Scene:
 
 
 def is_linear(scene: Scene) -> bool:
-    """Whether nothing in it is not linear, so that its impedance is known exactly."""
+    """Whether the scene is linear, so that its impedance is known exactly."""
     return (
         not any(effect.nonlinearity for effect in scene.effects)
         and scene.environment.wall.side == 0
@@ -180,8 +178,8 @@ def is_linear(scene: Scene) -> bool:
 
 
 def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, count: int = FREQUENCIES) -> Floats:
-    """About `count` frequencies (F,) [Hz] inside the band, evenly in ln f, on the grid of the
-    paper's window.
+    """Return about `count` frequencies (F,) [Hz] inside the band, evenly in ln f, on the grid of
+    the paper's window.
     """
     spacing = 0.5 * PROBE_RATE_HZ / DEFAULT_LAG
     first = np.ceil(band_hz[0] / spacing)
@@ -190,14 +188,14 @@ def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, count: int = FRE
 
 
 def device_scene(name: str) -> Scene | None:
-    """The scene of the device file `name`; None if there is no such file, or none that can be
+    """Return the scene of the device file `name`; None if there is no such file, or it cannot be
     simulated.
     """
     try:
         document = _device_document(name)
     except ConfigError:
         return None
-    if "device" in document.data:  # it names one, so it is a scene
+    if "device" in document.data:  # it refers to a device, so it is a scene
         return None
     device = validated(DeviceFile, document.data, document.where)
     effects = rigid_effects(device) or device_effects(device)
@@ -214,7 +212,7 @@ def device_scene(name: str) -> Scene | None:
 
 
 def device_file(name: str) -> DeviceFile:
-    """The device file `name`. ConfigError: there is none, or something in it is wrong."""
+    """Return the device file `name`. ConfigError if it is missing or invalid."""
     document = _device_document(name)
     return validated(DeviceFile, document.data, document.where)
 
@@ -224,8 +222,8 @@ def _device_document(name: str) -> Document:
 
 
 def scene_of_device(title: str) -> Scene | None:
-    """The scene of the device file that gives its device this name, of the configuration's or else
-    of the shipped ones; None if there is none, or none to simulate.
+    """Return the scene of the device file that gives its device this name, from the configuration
+    or otherwise from the shipped files; None if there is none, or it cannot be simulated.
     """
     shipped_files = sorted((shipped("config") / "devices").glob("*.toml"))
     for path in (*_configured(), *shipped_files):
@@ -235,7 +233,7 @@ def scene_of_device(title: str) -> Scene | None:
 
 
 def _configured() -> tuple[Path, ...]:
-    """The device file that the configuration names, if there are both."""
+    """Return the device file of the configuration, if both exist."""
     try:
         document = read(find_config())
         return (find_device(str(document.data.get("device")), document.path, "device"),)

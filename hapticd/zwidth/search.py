@@ -1,25 +1,23 @@
-"""The search for the boundary of the passive set with few simulated trials, each where it says most
-about that boundary.
+"""Search for the boundary of the passive set with few simulated trials, each where it gives most
+information.
 
-`signal.search` learns from the trials and chooses the next; here its oracle is a simulated trial
-with its intervals as weights. The prior is the device's model (`ModelPrior`): the trials teach
-how Re Z differs from the prediction, and how near to its friction's end the loop may come in a
-trial before it escapes. Trials are made a few at a time, each with noise of its own (seed, seed +
-1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the
-device. The same search therefore makes the same trials, and goes on where it was interrupted.
+`signal.search` learns from the trials and chooses the next; here its oracle is a simulated trial,
+with its intervals as weights. The prior is the device's model (`ModelPrior`). The trials teach how
+Re Z differs from the prediction, and how close to the limit of its friction the loop may come
+before it escapes. A few trials run at a time, each with noise of its own (seed, seed + 1, ..), as
+in a laboratory: with one noise for all, random error would be learnt as a property of the device.
+The same search makes the same trials, and continues after an interruption.
 
-Of a set that goes on beyond the box the search finds the box. The box reaches beyond the predicted
-limits along the axes, and is widened until no face of it is predicted to be passive: with some B a
-device carries more K and M than the axes show. Where the set that was found still goes on,
-`open_ends` says so. The faces K = 0 and B = 0 stay: that is where the search begins.
+If a set extends beyond the box, the search finds the box. The box reaches beyond the predicted
+limits along the axes. It is widened until no face of it is predicted to be passive: with some B a
+device allows more K and M than the axes show. `open_ends` lists the ends where the set that was
+found still continues. The faces K = 0 and B = 0 do not move: the search begins there.
 
-The set that is found is the paper's: environments whose trial rather passes than fails. A trial
-that escapes, or whose command saturates, yields no spectrum, only that the loop is not stable
-there.
-
-Each trial is also a check: what was expected of it before it was learnt is kept beside what it gave
-(`Step`). A `Slice` through what was found is the largest passive K over B at one M, beside what was
-predicted before the first trial.
+The result is the paper's set: environments whose trial probably passes. A trial that escapes, or
+whose command saturates, gives no spectrum, only the fact that the loop is not stable there. Each
+trial is also a check: `Step` stores the expectation before it was learnt with its result. A `Slice`
+through the result is the largest passive K over B at one M, with the prediction before the first
+trial.
 
 Limitations: a device whose Re Z differs from the prediction in a way that changes faster than the
 surrogate's correlation lengths (`signal.surrogate`); no later trial then corrects it.
@@ -66,24 +64,24 @@ __all__ = ["SearchParams", "SearchResult", "observed", "plan_search", "run_searc
 
 ROOM = (3.2, 1.3, 1.3)  # factors: the box beyond the predicted axis limits of K, B, -M
 HEAVIER = 1.6  # its positive end of M over the negative one, before it is widened
-WIDER = 1.5  # factor of an end beyond which the set is predicted to go on
+WIDER = 1.5  # factor by which an open end is moved
 WIDENINGS = 8  # at most: 25 times as far
 FACE = 24  # values along each side of a face
 SET_GRID = (24, 20, 24)
 INDEPENDENT_HZ = PROBE_RATE_HZ / (
     0.75 * DEFAULT_LAG
-)  # values of an estimate that are so far apart are independent
-POOR = 0.2  # relative standard deviation, the median over the band, of a spectrum that is not used
+)  # spacing at which values of an estimate are independent
+POOR = 0.2  # median relative standard deviation over the band above which a spectrum is not used
 UNKNOWN = 10.0  # relative standard deviation of a value that is not used
-DIGITS = 6  # of an environment: what is asked is what is stored
+DIGITS = 6  # of an environment, as requested and stored
 SLICE = (30, 80)  # of K and B
 _HALVINGS = 7
 
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """`budget` trials at most, `together` at a time; ends below `doubt`. `box` None: one that holds
-    the predicted set.
+    """`budget` trials at most, `together` at a time; ends below `doubt`. `box` None: one that
+    contains the predicted set.
     """
 
     conditions: Conditions
@@ -96,7 +94,7 @@ class SearchParams:
 
 @dataclass(frozen=True, eq=False)
 class SearchPlan:
-    """The box, and the search before its first trial, with what is known beforehand."""
+    """The box, and the search before its first trial, with its prior."""
 
     params: SearchParams
     box: Box
@@ -105,8 +103,8 @@ class SearchPlan:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One trial with the margin [N s/m] that was expected of it; `teaches` no spectrum where
-    the loop was not stable.
+    """One trial with the margin [N s/m] that was expected; `teaches` is False if the loop was not
+    stable and gave no spectrum.
     """
 
     outcome: Outcome
@@ -116,8 +114,8 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """`found`: the set as the search holds it, on a grid of the box; `doubt`: share of the
-    volume that noise leaves open.
+    """`found`: the set of the search, on a grid of the box; `doubt`: share of the volume still
+    undecided because of noise.
     """
 
     plan: SearchPlan
@@ -128,18 +126,18 @@ class SearchResult:
 
     @property
     def judged(self) -> Judged:
-        """From where to where every trial was judged."""
+        """The range of frequencies judged in every trial."""
         return judged(step.outcome for step in self.steps)
 
     @property
     def open_ends(self) -> tuple[str, ...]:
-        """Ends of the box at which the set that was found goes on, such as "M max"."""
+        """Ends of the box at which the set continues, such as "M max"."""
         return open_ends(self.found)
 
 
 def plan_search(params: SearchParams) -> SearchPlan:
-    """The box and the prior from the prediction. AnalysisError where nothing is predicted to be
-    passive.
+    """Return the box and the prior from the prediction. AnalysisError if no environment is
+    predicted to be passive.
     """
     box = params.box or _closed(params, _box(params))
     f = learnt_at(params.conditions)
@@ -169,7 +167,7 @@ def run_search(
 def _searched(
     plan: SearchPlan, store: TrialStore, tell: Progress, on_outcomes: OnOutcomes
 ) -> Procedure[SearchResult]:
-    """`on_outcomes` receives those of a round that the store lacked, in the order of the search."""
+    """`on_outcomes` receives the new outcomes of a round, in the order of the search."""
     params = plan.params
     search = plan.begin
     steps = list[Step]()
@@ -205,7 +203,7 @@ def _searched(
 
 
 def _batches(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch]:
-    """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
+    """Return a trial for each of `wanted` (n, 3) after `done` trials, with noise of its own."""
     return [
         TrialBatch(
             params.conditions.perturbed(more_seed=place), params.active_damping_ns_per_m, (point,)
@@ -215,7 +213,7 @@ def _batches(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch
 
 
 def rounded(wanted: Floats) -> Floats:
-    """Environments (n, 3) as they can be written down."""
+    """Round environments (n, 3) to the stored digits."""
     return np.array([[float(f"{value:.{DIGITS}g}") for value in point] for point in wanted])
 
 
@@ -235,7 +233,7 @@ def _box(params: SearchParams) -> Box:
 
 
 def _closed(params: SearchParams, box: Box) -> Box:
-    """`box`, widened until the set is predicted to end in it, but for the faces K = 0 and B = 0."""
+    """Return `box`, widened until the predicted set ends in it, except at K = 0 and B = 0."""
     for _ in range(WIDENINGS):
         low, high = (
             tuple(
@@ -268,7 +266,7 @@ def _expected(search: Search, wanted: Floats) -> Floats:
 
 
 def _set(search: Search) -> PassiveSet:
-    """Expected margins; where the search holds a point for not passive, their size with a minus."""
+    """Return expected margins; negative where the search predicts a point to be not passive."""
     assert search.surrogate is not None
     box = search.box
     k, b, m = (
@@ -282,14 +280,14 @@ def _set(search: Search) -> PassiveSet:
 
 
 def learnt_at(conditions: Conditions) -> Floats:
-    """Frequencies (F,) of what a trial teaches."""
+    """Return the frequencies (F,) of the learnt spectra."""
     f = kept_frequencies(conditions.band_hz)
     return f[(f >= conditions.band_hz[0]) & (f <= conditions.band_hz[1])]
 
 
 def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
-    """What a trial teaches; None where the loop was not stable, or moved by something else than
-    the perturbation.
+    """Return the spectrum learnt from a trial; None if the loop was not stable, or its motion had
+    another cause than the perturbation.
     """
     escaped = outcome.max_force_n >= SATURATED * conditions.display.force_limit_n or (
         not outcome.passes and outcome.margin_ns_per_m > 0.0
@@ -307,8 +305,8 @@ def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """Largest K (nB,) at each `damping` (nB,) of a plane of one M, as the search holds it and
-    as `predicted` before any trial.
+    """Largest K (nB,) at each `damping` (nB,) of a plane of one M, as `held` by the search and as
+    `predicted` before any trial.
     """
 
     mass_kg: float
@@ -318,8 +316,8 @@ class Slice:
 
 
 def slice_at(result: SearchResult, mass_kg: float) -> Slice:
-    """The plane of one M through the box: what the search holds, and what was predicted before
-    any trial.
+    """Return the plane of one M through the box: the result of the search, and the prediction
+    before any trial.
     """
     params = result.plan.params
     box = result.plan.box
@@ -334,8 +332,8 @@ def slice_at(result: SearchResult, mass_kg: float) -> Slice:
 
 
 def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_kg: float) -> Floats:
-    """Largest K (nB,) that holds at each damping, nan where none does: on a grid, then halved
-    to 1 % of its step.
+    """Return the largest K (nB,) that holds at each damping, nan if none does: on a grid, then
+    bisected to 1 % of its step.
     """
     k = np.linspace(box.low[0], box.high[0], SLICE[0])
     held = holds(np.array([(stiffness, b, mass_kg) for stiffness in k for b in damping])).reshape(

@@ -1,7 +1,7 @@
 """Trials by the batch engine: the record of one, and the impedance of several.
 
-Walls and soft ends of a scene are left out, because the impedance of an environment is measured
-away from them.
+Walls and soft ends of a scene are omitted, because the impedance of an environment is measured away
+from them.
 """
 
 from dataclasses import replace
@@ -26,7 +26,7 @@ __all__ = ["engine_source", "pooled", "simulated", "spectra_of", "spectra_on"]
 
 
 def engine_source(scene: Scene, substeps: int = 4) -> Source:
-    """Trials of `scene`'s device by the batch engine."""
+    """Return a source of trials of `scene`'s device by the batch engine."""
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
         tell("simulating", 0, 1)
@@ -56,7 +56,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
 
 
 def simulated(scene: Scene, found: BatchResult) -> TrialRecord:
-    """The first trial of a batch that kept its records."""
+    """Return the first trial of a batch that kept its records."""
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     escape = TrialEnd(EndReason.ESCAPE, f"diverged after {found.diverged_at_s[0]:.3g} s")
     ticks = round(found.samples[0] * scene.rate_hz / found.rate_hz)
@@ -76,8 +76,8 @@ def spectra_on(
     frequency_hz: Floats,
     lag: int = DEFAULT_LAG,
 ) -> Spectra:
-    """Spectra of a record at `frequency_hz` (F,), by the whole grid of its window where that
-    has them.
+    """Return spectra of a record at `frequency_hz` (F,), from the whole grid of its window if that
+    contains them.
     """
     if lag % DEFAULT_LAG:
         return spa(torque_n, velocity_m_per_s, lag=lag, frequency_hz=frequency_hz)
@@ -91,15 +91,17 @@ def spectra_of(
     force_limit_n: float,
     lag: int = DEFAULT_LAG,
 ) -> list[Spectra]:
-    """Spectra at `frequency_hz` (F,) of every trial that ran to its end without reaching the force
-    limit: the others ran away, and have no impedance.
+    """Return spectra at `frequency_hz` (F,) of every trial that ran to its end without reaching the
+    force limit; the others ran away and have no impedance.
     """
     calm = ~found.diverged & (found.max_force_n < SATURATED * force_limit_n)
     return [spectra_on(*found.record(int(one)), frequency_hz, lag) for one in np.flatnonzero(calm)]
 
 
 def pooled(trials: list[Spectra]) -> Complexes:
-    """Z (F,) of several trials together: sums of their spectra. AnalysisError without trials."""
+    """Return Z (F,) of several trials together, from summed spectra. AnalysisError without
+    trials.
+    """
     if not trials:
         raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
     return np.asarray(

@@ -1,17 +1,16 @@
-"""Where a trial's record comes from: the batch engine (`simulated`), a file, or a daemon (`live`).
-All give a `TrialRecord`.
+"""Sources of a trial's record: the batch engine (`simulated`), a file, or a daemon (`live`). All
+return a `TrialRecord`.
 
-A record that is there already is shown to the monitor second by second, as a daemon would show it,
-and cut where it would have ended the trial.
+An existing record is passed to the monitor second by second, as a daemon would send it, and cut
+where the monitor would have ended the trial.
 
-What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of
-K, B and M what is not given is that of the scene that was named, else 0: nobody who asks for K =
-500 N/m alone asks for the B and M of a scene that was not named. With none of the three given the
-environment is that of the record, else of the scene as it is, else 0. The active damping is a
-property of the device's drive: it is the record's, else the scene's, unless it is given.
+One rule for all sources selects the rendered environment from the typed values, the scene and the
+record. Omitted values of K, B and M are those of an explicitly named scene, otherwise 0: K = 500
+N/m alone does not imply the B and M of a scene that was not named. If all three are omitted, the
+environment is that of the record, otherwise of the scene, otherwise 0. The active damping is a
+property of the device's drive: unless typed, it is the record's, otherwise the scene's.
 
-The environment that the user gives must be that of the file's record; only this package's own files
-state theirs.
+A typed environment must be that of the file's record; only this package's own files contain theirs.
 """
 
 from collections.abc import Callable
@@ -38,7 +37,7 @@ SAME = 1e-6  # relative
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a source is asked for: K [N/m], B [Ns/m], M [kg], active damping [Ns/m], length,
+    """The request to a source: K [N/m], B [Ns/m], M [kg], active damping [Ns/m], length,
     perturbation with its seed.
     """
 
@@ -57,8 +56,8 @@ Source = Callable[[Trial, Progress], TrialRecord]
 
 
 def file_source(recorded: TrialRecord) -> Source:
-    """The record of a file, whatever is asked; environment and damping are then what the user
-    says they were.
+    """Return the record of a file for any request; environment and damping are then those that the
+    user gives.
     """
     return lambda trial, tell: watched(recorded, trial.watch)
 
@@ -66,8 +65,8 @@ def file_source(recorded: TrialRecord) -> Source:
 def watched(
     whole: TrialRecord, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
 ) -> TrialRecord:
-    """`whole` up to where the monitor would have ended it. `command_n` (ticks,): sizes of the
-    commands beside it.
+    """Return `whole` up to where the monitor would have ended it. `command_n` (ticks,): magnitudes
+    of the commands.
     """
     monitor = TrialMonitor(watch, whole.rate_hz)
     second = round(whole.rate_hz)
@@ -90,7 +89,7 @@ def watched(
         return whole
     kept = max(
         round(LEAST_KEPT_S * whole.rate_hz), round(monitor.seconds * whole.rate_hz)
-    )  # what is there may as well be judged
+    )  # judge at least this much of an existing record
     return replace(
         whole,
         force_n=whole.force_n[:kept],
@@ -106,8 +105,8 @@ def given(
     named: bool,
     recorded: TrialRecord | None = None,
 ) -> Environment:
-    """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
-    something else than what was typed.
+    """Return the rendered environment; `named`: the user named `scene`. AnalysisError if a record
+    was made in another environment than the typed one.
     """
     stated = recorded.rendered if recorded else None
     if stated is not None:

@@ -1,11 +1,11 @@
-"""The stepped sine: a second opinion on an impedance, by one frequency after the other and no
-spectral estimation at all.
+"""The stepped sine: an independent measurement of an impedance, one frequency after the other,
+without spectral estimation.
 
 At each frequency the probe plays one sine, the first second is left out, and Z is the ratio of the
 two channels' Fourier sums over whole seconds. Frequencies are whole hertz, so whole seconds hold
-whole periods and nothing leaks. On a linear device it must agree with noise; with Coulomb friction
-a sine of the same rms sees a different equivalent damping (4/pi Fc/V beside sqrt(2/pi) Fc/sigma),
-so there the two differ, and both are right for their amplitude.
+whole periods and nothing leaks. On a linear device it must agree with noise. With Coulomb friction
+a sine of the same rms sees a different equivalent damping (4/pi Fc/V instead of sqrt(2/pi)
+Fc/sigma). The two then differ, and both are right for their amplitude.
 
 Limitations: a loop that rings for longer than the second that is left out.
 """
@@ -48,7 +48,7 @@ def stepped_sine(
     frequency_hz: tuple[float, ...] = FREQUENCIES_HZ,
     force_n: float = FORCE_N,
 ) -> ReferenceSines:
-    """Z of the environment of `trial` at whole frequencies, one short trial of `source` each."""
+    """Measure Z of the environment of `trial` at whole frequencies, a short trial each."""
     steps = Steps(tell, len(frequency_hz))
     count = len(frequency_hz)
     z = np.full(count, np.nan, np.complex128)
@@ -73,8 +73,8 @@ def stepped_sine(
 
 
 def may_follow(recorded: TrialRecord) -> bool:
-    """Whether another trial may follow: not after someone switched off or changed something,
-    nor on a hot winding.
+    """Whether another trial may follow: not after a disable or a change by another client, nor with
+    a hot winding.
     """
     ended = recorded.ended
     return ended is None or ended.reason in HARMLESS

@@ -1,6 +1,6 @@
-"""What a procedure writes to disk, and how it reports its progress.
+"""The files of a procedure, and the report of its progress.
 
-Results are kept in a folder for each run, and in an append-only file of trials, by which an
+Results are stored in a folder for each run, and in an append-only file of trials from which an
 interrupted map or limit continues:
 
     run folder     run.json (verdict, conditions, provenance); of a trial record.h5 and
@@ -8,16 +8,16 @@ interrupted map or limit continues:
     trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's
                    outcome depends on
 
-A line is written at once and flushed, so that Ctrl-C or a dead machine costs at most the trials in
-flight; a torn last line is not read. A run folder holds one run: whoever writes another there
-removes what the one before left, but for the store, which several runs share, and files of other
-names. JSON knows no nan and no infinity: both become null, and null is read as nan.
+A line is written at once and flushed, so that Ctrl-C or a crash loses at most the trials in flight;
+an incomplete last line is ignored. A run folder holds one run. Writing another run there removes
+the files of the previous one, but not the store, which several runs share, and not files of other
+names. JSON has no nan and no infinity: both become null, and null is read as nan.
 
-Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs,
-what is not finite null.
+Results become JSON-compatible objects (`plain`): arrays become lists, complex numbers pairs, values
+that are not finite null.
 
-Limitations: two processes that append to one store at the same time; their lines may then
-interleave, and such lines are not read.
+Limitations: two processes that append to one store at the same time; their lines may interleave,
+and such lines are ignored.
 """
 
 import hashlib
@@ -51,12 +51,12 @@ __all__ = [
     "write_run",
 ]
 
-# --- why a trial ended ----------------------------------------------------------------------------
+# --- the end of a trial ---------------------------------------------------------------------------
 
 
 class EndReason(StrEnum):
-    """What ended a trial before its time; the values are those of run.json. The reason and the code
-    of the fault decide what follows: the verdict, another trial, an exit code.
+    """The reason for an early end of a trial, as in run.json. It and the code of the fault
+    determine the verdict, a further trial, and the exit code.
     """
 
     ESCAPE = "escape"
@@ -88,12 +88,12 @@ class TrialEnd:
 
     @property
     def ran_away(self) -> bool:
-        """Whether the motion grew by itself, as the monitor or the servo saw."""
+        """Whether the motion grew by itself, as seen by the monitor or the servo."""
         return self.reason is EndReason.ESCAPE or self.fault in RUNAWAY_FAULTS
 
 
 def end_of_plain(plain: Mapping[str, Any] | None) -> TrialEnd | None:
-    """The end that `to_json` wrote. ValueError or KeyError for anything else."""
+    """Return the end that `to_json` wrote. ValueError or KeyError for anything else."""
     return TrialEnd(EndReason(plain["reason"]), plain["text"], plain["fault"]) if plain else None
 
 
@@ -119,11 +119,11 @@ OF_A_RUN = (
     IMPEDANCE,
     *(f"{name}.{kind}" for name in FIGURES for kind in FIGURE_KINDS),
 )
-Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
+Progress = Callable[[str, int, int], None]  # name of the step, number of completed steps, total
 MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
-LossesBy = Literal["counter", "times", "nothing"]  # what shows that rows of a file are missing
+LossesBy = Literal["counter", "times", "nothing"]  # evidence of missing rows of a file
 LOSSES_BY = "losses_by"
-# what the numbers of a record rest on
+# the basis of a record's numbers
 RESTS_ON = ("calibration_doubts", "certificate", LOSSES_BY)
 OF_A_RECORD = (
     "simulated",
@@ -147,7 +147,7 @@ def silent(what: str, done: int, total: int) -> None:
 
 
 class Steps:
-    """Counts the steps of a procedure; reports before each, and once at the end."""
+    """Count the steps of a procedure; report before each, and once at the end."""
 
     def __init__(self, tell: Progress, total: int) -> None:
         self._tell = tell
@@ -155,26 +155,24 @@ class Steps:
         self._done = 0
 
     def next(self, what: str) -> None:
-        """The next step begins, and is `what`."""
+        """Begin the next step, `what`."""
         self._tell(what, min(self._done, self._total), self._total)
         self._done += 1
 
     def end(self) -> None:
-        """All is done."""
+        """Report the end."""
         self._tell("done", self._total, self._total)
 
 
 def to_json(value: Any, *, skip: tuple[str, ...] = ()) -> Any:
-    """`value` as dicts, lists, strings and finite numbers; its own fields named in `skip` are
-    left out.
-    """
+    """Return `value` as dicts, lists, strings and finite numbers, without its fields in `skip`."""
     return to_jsonable_python(
         value, exclude=set(skip) or None, inf_nan_mode="null", fallback=_listed
     )
 
 
 def _listed(value: Any) -> Any:
-    """What pydantic does not know: numbers and arrays of numpy; anything else in words."""
+    """Convert types unknown to pydantic: numbers and arrays of numpy; anything else to a string."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "c":
         return np.stack((value.real, value.imag), axis=-1).tolist()
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
@@ -182,12 +180,12 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class TrialRecord:
-    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time,
-    None if it was not.
+    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: reason for an early end,
+    otherwise None.
 
-    `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can
-    do; None where not known. `more`: what else the source says of itself, for the run's summary.
-    `rendered`: what the record says that it was recorded in.
+    `max_command_n` is the largest commanded force, `command_limit_n` the device's limit; None if
+    unknown. `more`: further information of the source, for the run's summary. `rendered`: the
+    environment stored in the record.
     """
 
     force_n: Floats
@@ -208,7 +206,7 @@ class TrialRecord:
 
 
 def too_short(seconds: float, ended: TrialEnd | None) -> AnalysisError:
-    """The error for a trial that `ended` so after `seconds` and has no spectrum to judge."""
+    """Return the error for a trial that `ended` after `seconds` and has no spectrum to judge."""
     what = f"ended after {seconds:.3g} s{f' ({ended})' if ended else ''}: too short for a verdict"
     if ended and ended.ran_away:
         return AnalysisError(
@@ -221,7 +219,7 @@ def too_short(seconds: float, ended: TrialEnd | None) -> AnalysisError:
 
 
 def fingerprint(value: Any) -> str:
-    """SHA-256 (hex) over the canonical JSON of `value`: equal for equal values."""
+    """Return the SHA-256 (hex) of the canonical JSON of `value`: equal for equal values."""
     return hashlib.sha256(
         json.dumps(to_json(value), sort_keys=True, separators=(",", ":")).encode()
     ).hexdigest()
@@ -233,11 +231,11 @@ def write_run(
     recorded: TrialRecord | None = None,
     texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """A run folder, made if need be, in place of the run that was there; `texts`: further files by
-    name.
+    """Write a run folder, created if necessary, in place of the previous run; `texts`: further
+    files by name.
 
-    The summary is written last: a folder that has one has the rest. ConfigError if it cannot be
-    written to.
+    The summary is written last: a folder with a summary is complete. ConfigError if it cannot be
+    written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -254,12 +252,12 @@ def write_run(
 
 
 def not_writable(path: Path, error: OSError) -> ConfigError:
-    """The error for a file or folder of results that cannot be written to."""
+    """Return the error for a file or folder of results that cannot be written."""
     return ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out")
 
 
 def csv_text(columns: Mapping[str, Floats]) -> str:
-    """Columns (n,) of numbers by their names as text; empty where a number is not finite."""
+    """Return columns (n,) of numbers, by name, as text; empty for a number that is not finite."""
     rows = (
         ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row)
         for row in np.column_stack([*columns.values()])
@@ -268,7 +266,7 @@ def csv_text(columns: Mapping[str, Floats]) -> str:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """The summary of a run folder. ConfigError if it is none."""
+    """Return the summary of a run folder. ConfigError if there is none."""
     try:
         return dict(json.loads((folder / SUMMARY).read_text()))
     except (OSError, ValueError, TypeError) as error:
@@ -278,16 +276,14 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def origin_of(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What a record says of itself, of its run's summary: where it comes from, what was
-    rendered, why it ended, what was lost.
+    """Return the part of a run's summary that its record contains: origin, environment, reason of
+    the end, losses.
     """
     return {name: summary[name] for name in OF_A_RECORD if name in summary}
 
 
 def record_path(folder: Path) -> Path:
-    """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds
-    none.
-    """
+    """Return the record of a run folder, for `recorded.read_file`. ConfigError if there is none."""
     path = folder / RECORD_H5
     if not path.is_file():
         raise ConfigError(f"{folder}: no record; {RECORD_H5} was expected")
@@ -307,14 +303,14 @@ def _write_record(folder: Path, recorded: TrialRecord, origin_json: str) -> None
 
 
 class TrialStore:
-    """`known` outcomes by key; `add` appends. Without a path nothing is kept."""
+    """`known` outcomes by key; `add` appends. Without a path nothing is stored."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
         self.known: dict[str, Mapping[str, Any]] = {} if path is None else dict(_read(path))
 
     def add(self, found: Iterable[tuple[str, Mapping[str, Any]]]) -> None:
-        """Remember and write. ConfigError if the file cannot be written."""
+        """Store new outcomes. ConfigError if the file cannot be written."""
         new = dict(found)
         if self._path is not None and new:
             try:
@@ -336,7 +332,7 @@ def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
         content = path.read_bytes()
         if not content.endswith(
             b"\n"
-        ):  # the run before died while writing: cut its line off, so that ours begins anew
+        ):  # the previous run died while writing: remove its incomplete line
             os.truncate(path, content.rfind(b"\n") + 1)
     except OSError as error:
         raise not_writable(path, error) from error
@@ -344,5 +340,5 @@ def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
         try:
             outcome = json.loads(line)
             yield outcome.pop("key"), outcome
-        except (ValueError, KeyError, AttributeError, TypeError):  # torn, or not ours
+        except (ValueError, KeyError, AttributeError, TypeError):  # incomplete or foreign
             continue

@@ -1,24 +1,24 @@
 """Sampling rate and missing samples from a column of times, or from a counter of samples.
 
-The rate is that of the step, not of the mean: rows that are missing make the mean step longer, and
-every limit moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N
-s/m read -0.24. So each time is put on the line
+The rate is that of the step, not of the mean: missing rows lengthen the mean step, and every limit
+moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N s/m read
+-0.24. Each time is therefore placed on the line
 
     t_i = t_0 + T n_i,    n_i whole numbers that grow by 1 or more
 
-where 1/T is the rate at which the phases 2 pi t_i / T agree best: they do so whichever rows are
-missing. A stamp that is late by less than the samples after it allow is jitter, not a loss: n_i - i
-never falls, and is the number of samples lost before row i.
+where 1/T is the rate at which the phases 2 pi t_i / T agree best, whichever rows are missing. A
+stamp that is later than the following samples allow is jitter, not a loss: n_i - i never falls, and
+is the number of samples lost before row i.
 
-Seconds that were rounded to more than a period (milliseconds at 4 kHz) repeat. Where each stands
-for a whole number of samples, those that have fewer lost some; else the mean rate is all that they
-say.
+Seconds that were rounded to more than a period (milliseconds at 4 kHz) repeat. If each value
+corresponds to a whole number of samples, values with fewer samples lost some; otherwise the times
+give only the mean rate.
 
-A counter grows by 1 with every sample, so a larger step is a loss. It begins anew at 2^48 at the
-latest, as a clock of 48 bits does: a step back of about that much is a step forward.
+A counter grows by 1 with every sample, so a larger step is a loss. It wraps at 2^48 at the latest,
+as a clock of 48 bits does: a step back of about that much is a step forward.
 
-Limitations: losses beside jitter of half a period or more; then the times do not run evenly, and
-are refused. So is a counter of fewer bits that begins anew within the record.
+Limitations: losses combined with jitter of half a period or more (the times are then uneven, and
+refused); a counter of fewer bits that wraps within the record (refused too).
 """
 
 from dataclasses import dataclass
@@ -33,15 +33,14 @@ from hapticd.core.units import percent
 GAP = 10.0  # periods between two rounded times; fewer are those of rounding
 ROUNDED = 0.005  # share of steps of 0 from which on times count as rounded
 SINGLE = (0.25, 1.75)  # usual steps: one period, whatever it was rounded to
-EVEN = 0.3  # of 1: how much of one phase the times have
-SHORT = 16  # samples, over which the rate is looked for first
+EVEN = 0.3  # of 1: minimum coherence of the phases of the times
+SHORT = 16  # samples of the first search for the rate
 MOSTLY = 0.5  # share of rounded times that have all of their samples
-MOST_MISSING = 0.1  # share of a record; with more it is no record of one trial
-SLOWEST_HZ = 20.0  # nothing about a display is known from fewer samples
+MOST_MISSING = 0.1  # share of a record; with more it is not a record of one trial
+SLOWEST_HZ = 20.0  # a slower record contains nothing about a display
 USUAL_HZ = (100.0, 1e5)
 REMEDY = (
-    "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is"
-    " whole"
+    "sort the rows and remove duplicates, cut the record there, or give --rate-hz if it is complete"
 )
 BITS = 48  # of the longest counter
 WRAP = 1 << BITS
@@ -52,8 +51,8 @@ SPARE_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None where rows simply
-    follow each other. `shows_losses`: a row that is missing would be seen.
+    """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None if rows simply follow
+    each other. `shows_losses`: a missing row would be visible.
     """
 
     rate_hz: float
@@ -62,8 +61,8 @@ class Sampling:
 
 
 def sampling(time_s: Floats) -> Sampling:
-    """Sampling of rows at `time_s` (n,) [s], n > 1. AnalysisError for times that do not run evenly,
-    or in another unit than seconds.
+    """Return the sampling of rows at `time_s` (n,) [s], n > 1. AnalysisError for uneven times, or
+    for another unit than seconds.
     """
     steps = np.diff(time_s)
     _forwards(time_s, steps)
@@ -79,8 +78,8 @@ def sampling(time_s: Floats) -> Sampling:
 
 
 def unit_hint(rate_hz: float) -> str:
-    """Which unit of time would make a display's rate of one that is far too slow; "" if none
-    would.
+    """Describe the unit of time that would turn a rate that is far too slow into a display's; "" if
+    none would.
     """
     for name, seconds in SPARE_UNITS:
         if USUAL_HZ[0] <= rate_hz / seconds <= USUAL_HZ[1]:
@@ -92,7 +91,7 @@ def unit_hint(rate_hz: float) -> str:
 
 
 def _forwards(time_s: Floats, steps: Floats) -> None:
-    """AnalysisError where times fall back, or stand still where they are not rounded."""
+    """Raise AnalysisError if times fall, or repeat without rounding."""
     back = np.flatnonzero(~(steps >= 0.0))
     if back.size:
         row = int(back[0])
@@ -110,8 +109,8 @@ def _forwards(time_s: Floats, steps: Floats) -> None:
 
 
 def _rounded(time_s: Floats, steps: Floats) -> Sampling:
-    """Times that repeat: whole numbers of samples to each, of which some are missing, or else
-    the mean rate.
+    """Return the sampling of repeating times: whole numbers of samples to each, some of them
+    missing, or otherwise the mean rate.
     """
     period_s = float(steps.mean())
     usual_s = float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
@@ -128,7 +127,7 @@ def _rounded(time_s: Floats, steps: Floats) -> Sampling:
 
 
 def _even(time_s: Floats, steps: Floats) -> Sampling:
-    """Rate and places by the line through all times."""
+    """Return rate and positions from the line through all times."""
     usual_s = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * usual_s) & (steps < SINGLE[1] * usual_s)]
     time = time_s - time_s[0]
@@ -141,9 +140,9 @@ def _even(time_s: Floats, steps: Floats) -> Sampling:
 
 
 def _in_phase(time_s: Floats, rate_hz: float) -> float:
-    """The rate near `rate_hz` at which all times have one phase, whichever of them are missing:
-    found over short stretches first, where a rate that is somewhat wrong turns the phase by less
-    than half, then over longer ones.
+    """Return the rate near `rate_hz` at which all times have one phase, whichever of them are
+    missing. It is found over short stretches first, where a slightly wrong rate turns the phase by
+    less than half, then over longer ones.
     """
     length = SHORT
     while length < 2 * time_s.size:
@@ -169,8 +168,8 @@ def _placed(rate_hz: float, place: Integers, steps: Floats) -> Sampling:
 
 
 def _in_order(place: Integers) -> Integers:
-    """Whole numbers that grow by 1 or more: a place that those after it do not allow was a late
-    stamp.
+    """Return whole numbers that grow by 1 or more: a position too high for the following ones was a
+    late stamp.
     """
     at = np.arange(place.size)
     return np.asarray(np.minimum.accumulate((place - at)[::-1])[::-1] + at)
@@ -179,7 +178,7 @@ def _in_order(place: Integers) -> Integers:
 def _uneven(steps: Floats) -> str:
     return (
         f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are"
-        " missing or it is no time: cut the record there, or say --rate-hz if it is whole"
+        " missing or it is not a time: cut the record there, or give --rate-hz if it is complete"
     )
 
 
@@ -187,8 +186,8 @@ def _uneven(steps: Floats) -> str:
 
 
 def counted(name: str, counts: Floats) -> tuple[Integers, int]:
-    """Places (n,) from 0 by the counter of samples `name`, and its first number. AnalysisError
-    for numbers that do not count samples.
+    """Return positions (n,) from 0 from the counter of samples `name`, and its first number.
+    AnalysisError for numbers that do not count samples.
     """
     _whole(name, counts)
     steps = np.mod(np.diff(counts.astype(np.int64)), WRAP)
@@ -202,7 +201,7 @@ def counted(name: str, counts: Floats) -> tuple[Integers, int]:
 
 
 def _whole(name: str, counts: Floats) -> None:
-    """AnalysisError for what is no whole number of BITS bits."""
+    """Raise AnalysisError for values other than whole numbers of BITS bits."""
     good = (counts >= 0.0) & (counts < WRAP) & (counts == np.rint(counts))
     if not good.all():
         row = int(np.argmin(good))
@@ -213,14 +212,14 @@ def _whole(name: str, counts: Floats) -> None:
 
 
 def _counts_samples(steps: Integers) -> bool:
-    """Whether `steps` of a counter are of 1, but for what a record can have lost."""
+    """Whether `steps` of a counter are 1, but for plausible losses."""
     least, most = int(steps.min()), int(steps.max())
     return least >= 1 and most <= MOST_LOST_AT_ONCE and float(np.median(steps)) == 1.0
 
 
 def unwrapped(times: Floats) -> Floats:
-    """`times` (n,) of a clock, in its own unit, as if it had not begun anew at 2^48; any other
-    fall stays as it is.
+    """Return `times` (n,) of a clock, in its own unit, unwrapped at 2^48; any other fall does not
+    change.
     """
     back = np.flatnonzero(np.diff(times) < 0.0)
     if back.size != 1 or times[back[0] + 1] - times[back[0]] > -WRAP / 2:

@@ -1,33 +1,33 @@
-"""One trial of one environment: recorded under noise or multisines, judged, and kept with all that
-its numbers depend on.
+"""One trial of one environment: recorded under noise or multisines, judged, and stored with
+everything that its numbers depend on.
 
-Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
-whether the predicted loop is stable, and its impedance, where the device is known by a model. A
-trial of an environment that is predicted to be unstable is run all the same (the monitor ends it);
-the verdict then says not passive, with the spectral radius.
+Params -> plan_trial -> Plan -> run_trial -> Result. The plan contains the expectation: whether the
+predicted loop is stable, and its impedance, if there is a model of the device. An environment that
+is predicted to be unstable is tried all the same (the monitor ends the trial); the verdict is then
+not passive, with the spectral radius.
 
-A trial by multisines plays several realisations of a force that repeats, each settled for one
-period and measured for some. It has the period of the window's grid (4096 samples), every harmonic
-with one amplitude, and random phases, other ones for every realisation; its density is that of the
-noise it stands for, so friction acts alike. Its spectrum ends where the judged band ends: the loop
-is sampled, and a perturbation above half of its rate is folded back into the band (1e-3 of Z at 1
+A trial by multisines plays several realisations of a periodic force, each settled for one period
+and measured for some. It has the period of the window's grid (4096 samples), every harmonic with
+one amplitude, and new random phases for every realisation. Its density is that of the noise it
+replaces, so friction acts alike. Its spectrum ends at the edge of the judged band: the loop is
+sampled, and a perturbation above half of its rate is folded back into the band (1e-3 of Z at 1
 kHz).
 
-For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the
-same way in every period: only more realisations average that, and only they show how much it is
+For a device without friction 2 s of it determine Z better than 90 s of noise. Friction distorts, in
+the same way in every period. Only more realisations average the distortion and show its size
 (`signal.periodic`).
 
-The record holds the realisations one after the other, each from rest and with the period in which
-it settles. A realisation whose force did not repeat, because a stalled host let the board run out
-of samples, is recorded again.
+The record holds the realisations one after the other, each from rest and with its settling period.
+A realisation whose force did not repeat, because a stalled host let the board run out of samples,
+is recorded again.
 
 Limitations: a loop so lightly damped that it rings for more than a period.
 
 On disk it is a run folder with record, summary and Z(f):
 
 run.json         verdict and everything that it depends on
-impedance.csv    a line for each frequency that the estimate has, with the units in the header
-                 line; empty where not known
+impedance.csv    a line for each frequency of the estimate, with the units in the header line; empty
+                 where not known
 """
 
 from collections.abc import Iterator, Mapping
@@ -93,7 +93,7 @@ SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
 
 @dataclass(frozen=True, slots=True)
 class MultisineLayout:
-    """`realisations` of the force, each of `periods` that are measured, after one that is not."""
+    """`realisations` of the force, each of one settling period and `periods` measured ones."""
 
     realisations: int = 8
     periods: int = 2
@@ -110,7 +110,7 @@ class MultisineLayout:
 
 
 def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
-    """The multisine of the density and seed of `noise`, up to `highest_hz`."""
+    """Return the multisine of the density and seed of `noise`, up to `highest_hz`."""
     band_hz = min(noise.band_hz, highest_hz)
     force_n = sqrt(noise.psd_n2_per_hz * band_hz)
     return replace(
@@ -121,8 +121,8 @@ def multisine_like(noise: Excitation, highest_hz: float) -> Excitation:
 def record_multisines(
     trial: Trial, layout: MultisineLayout, source: Source, tell: Progress = silent
 ) -> TrialRecord:
-    """Every realisation by `source`, until one ends early. AnalysisError if not even the first was
-    whole, or if one never repeated; else as the source.
+    """Record every realisation with `source`, until one ends early. AnalysisError if not even the
+    first was complete, or if one never repeated; otherwise as the source.
     """
     steps = Steps(tell, layout.realisations)
     whole = []
@@ -150,7 +150,7 @@ def record_multisines(
 def _one_realisation(
     asked: Trial, layout: MultisineLayout, source: Source
 ) -> tuple[TrialRecord, int]:
-    """One realisation, and how often it took."""
+    """Record one realisation, and return the number of attempts with it."""
     for tries in range(1, TRIES + 1):
         found = source(asked, silent)
         if (
@@ -165,15 +165,15 @@ def _one_realisation(
 
 
 def multisine_spectra(recorded: TrialRecord, layout: MultisineLayout) -> PeriodicSpectra:
-    """Spectra of as many whole realisations as there are in a record of that layout.
-    AnalysisError if there is none.
+    """Return spectra of all complete realisations in a record of that layout. AnalysisError if
+    there is none.
     """
     count = recorded.force_n.size // layout.samples
     if not count:
         raise AnalysisError(
             f"record of {recorded.seconds:.3g} s: a realisation of 1 + {layout.periods} periods of"
-            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record it whole,"
-            " or say its --periods"
+            f" {PERIOD} samples takes {layout.samples / recorded.rate_hz:.3g} s; record all of it,"
+            " or give its --periods"
         )
     force, velocity = (
         channel[: count * layout.samples].reshape(count, layout.periods + 1, PERIOD)[:, 1:]
@@ -202,8 +202,8 @@ def _joined(
 
 @dataclass(frozen=True, slots=True)
 class TrialParams:
-    """What is asked, and how it is judged. `scene` names the device where a model of it is known,
-    else None.
+    """The requested trial and its criteria. `scene` gives the device if there is a model of it,
+    otherwise None.
 
     `multisine`: the excitation of `trial` is a multisine of that layout, in place of noise and a
     window of `lag` samples.
@@ -218,8 +218,8 @@ class TrialParams:
 
 @dataclass(frozen=True, eq=False)
 class TrialPlan:
-    """`spectral_radius` of the predicted closed loop, None without a model, or with Coulomb
-    friction, which no radius knows.
+    """`spectral_radius` of the predicted closed loop; None without a model, or with Coulomb
+    friction, for which it is undefined.
     """
 
     params: TrialParams
@@ -229,9 +229,9 @@ class TrialPlan:
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """The record, Z (at the port that the verdict names), what was predicted there, the verdict;
-    `spectra` are those that the verdict was found by, at the port of the probe: the window's, or
-    those of the record (`resolved`).
+    """The record, Z (at the port of the verdict), the prediction there, and the verdict. `spectra`,
+    at the port of the probe, are those of the verdict: the window's, or those of the record
+    (`resolved`).
     """
 
     plan: TrialPlan
@@ -243,7 +243,7 @@ class TrialResult:
 
 
 def plan_trial(params: TrialParams) -> TrialPlan:
-    """What to expect. AnalysisError for a trial too short for a verdict; ConfigError as
+    """Predict the trial. AnalysisError if it is too short for a verdict; ConfigError as
     `compose`.
     """
     _possible(params)
@@ -302,7 +302,7 @@ def _possible(params: TrialParams) -> None:
 
 
 def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> TrialResult:
-    """Record and judge. AnalysisError if the record became too short for a verdict; else as the
+    """Record and judge. AnalysisError if the record is too short for a verdict; otherwise as the
     source.
     """
     layout = plan.params.multisine
@@ -313,7 +313,7 @@ def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> Trial
 
 
 def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
-    """The verdict on a record. AnalysisError for one too short for it."""
+    """Judge a record. AnalysisError if it is too short for a verdict."""
     params = plan.params
     layout = params.multisine
     measured = MeasuredTrial(
@@ -342,9 +342,8 @@ def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
 
 
 def _findings(recorded: TrialRecord, trial: Trial) -> Iterator[Finding]:
-    """What the samples cannot say: the command at its end, an escape that the monitor saw, what
-    was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
-    active, however long the record.
+    """Yield findings beyond the samples: the command at its limit, an escape seen by the monitor,
+    losses, and K < 0, which is active at a low enough frequency, however long the record.
     """
     most = recorded.max_command_n
     limit = recorded.command_limit_n
@@ -379,7 +378,7 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
 
 
 def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[str, Any]:
-    """Verdict and everything that it depends on; SI units."""
+    """Return the verdict and everything that it depends on; SI units."""
     params = result.plan.params
     recorded = result.recorded
     stiffness, damping, mass = params.trial.environment
@@ -437,7 +436,7 @@ def write(
     provenance: Mapping[str, Any],
     sines: ReferenceSines | None = None,
 ) -> Path:
-    """The run folder. ConfigError if it cannot be written to."""
+    """Write the run folder. ConfigError if it cannot be written."""
     return write_run(
         folder,
         {**summary(result, sines), "provenance": provenance},
@@ -447,9 +446,9 @@ def write(
 
 
 def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> TrialResult:
-    """The trial in a run folder, judged again.
+    """Return the trial in a run folder, judged again.
 
-    `kept` is its run.json; `scene`, for a prediction, is None where it is not known any more.
+    `kept` is its run.json; `scene`, for a prediction, is None if it is no longer known.
     """
     recorded = replace(read_file(record_path(folder)), origin=kept["origin"])
     return judged(plan_trial(_kept_params(kept, scene)), recorded)
@@ -478,8 +477,8 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
 
 
 def impedance_csv(measured: Impedance) -> str:
-    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value's
-    random error (what calibrations leave open is not in it), coherence.
+    """Return Z(f) as text: frequency, real and imaginary part, standard deviation of the complex
+    value's random error (without the uncertainty of calibrations), coherence.
     """
     return csv_text(
         {

@@ -1,18 +1,18 @@
-"""Virtual walls: how stiff a wall may be at each virtual damping before an impact sets it
-oscillating (Weir 2008, Fig. 2).
+"""Virtual walls: the stiffest wall at each virtual damping on which an impact does not cause
+oscillation (Weir 2008, Fig. 2).
 
-The device meets the wall as the scene says (its start velocity, a push against it). A wall is
-stable if after `settle_s` nothing moves to and fro faster than `still_m_per_s`, and the trial has
-not diverged. To and fro: into a soft and strongly damped wall the push creeps for B/K seconds, 0.3
-s and more, and that is no oscillation. This is neither passivity nor coupled stability: it is one
-impact of one device without a hand, and says what the plot of many papers says. K is raised step by
-step; the boundary is the last stable wall below the first that is not, and found again between the
-two.
+The device meets the wall as the scene defines (its start velocity, a force against it). A wall is
+stable if after `settle_s` nothing moves back and forth faster than `still_m_per_s`, and the trial
+has not diverged. Motion in one direction does not count: into a soft and strongly damped wall the
+device creeps for B/K seconds, 0.3 s and more, which is not oscillation. This is neither passivity
+nor coupled stability. It is one impact of one device without a hand, as in the plots of many
+papers. K is raised step by step; the boundary is the last stable wall below the first unstable one,
+refined between the two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
 
-Limitations: a device whose stable walls are not in one piece as K is raised; a piece beyond the
-first unstable wall is not looked for.
+Limitations: a device whose stable walls are not in one piece as K is raised; walls beyond the first
+unstable one are not tried.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,7 @@ FINER = 6  # steps between the last stable and the first unstable wall
 
 @dataclass(frozen=True, slots=True)
 class WallMapParams:
-    """`scene` has a wall, and something that meets it. Stiffnesses [N/m] ascend; dampings
+    """`scene` has a wall, and a motion or force towards it. Stiffnesses [N/m] ascend; dampings
     [Ns/m] of the wall; `levels` [Ns/m].
     """
 
@@ -61,7 +61,7 @@ class WallPlan:
 @dataclass(frozen=True, slots=True)
 class Impact:
     """One impact: `late_m_per_s` is the largest speed reached both ways after `settle_s`,
-    `deepest_m` how far the wall gave way.
+    `deepest_m` the largest penetration.
     """
 
     active_damping_ns_per_m: float
@@ -75,7 +75,7 @@ class Impact:
 @dataclass(frozen=True, slots=True)
 class WallLine:
     """The result at one level and wall damping: the stiffest stable wall (0: none), `open` if the
-    stiffest that was tried is stable.
+    stiffest wall tried is stable.
     """
 
     active_damping_ns_per_m: float
@@ -86,8 +86,8 @@ class WallLine:
 
     @property
     def first_unstable_n_per_m(self) -> float:
-        """The softest wall that oscillated: the boundary lies between it and `highest_n_per_m`;
-        inf if none did.
+        """The softest wall that oscillated: the boundary lies between it and `highest_n_per_m`; inf
+        if none did.
         """
         return min(
             (impact.wall_stiffness_n_per_m for impact in self.impacts if not impact.stable),
@@ -103,13 +103,13 @@ class WallResult:
     lines: tuple[WallLine, ...]
 
     def at(self, level: float) -> tuple[WallLine, ...]:
-        """The boundary at one active damping, by wall damping."""
+        """Return the boundary at one active damping, by wall damping."""
         return tuple(line for line in self.lines if line.active_damping_ns_per_m == level)
 
 
 def plan_walls(params: WallMapParams) -> WallPlan:
-    """AnalysisError for a scene without a wall, or shorter than the time to settle; ConfigError
-    as `compose`.
+    """Plan the impacts. AnalysisError for a scene without a wall, or shorter than the time to
+    settle; ConfigError as `compose`.
     """
     scene = params.scene
     if scene.environment.wall.side == 0:
@@ -136,7 +136,7 @@ def plan_walls(params: WallMapParams) -> WallPlan:
 
 
 def run_walls(plan: WallPlan, tell: Progress = silent) -> WallResult:
-    """Hit them all; milliseconds an impact."""
+    """Run all impacts; each takes milliseconds."""
     steps = Steps(tell, len(plan.lines))
     lines = []
     for level, damping in plan.lines:
@@ -163,7 +163,7 @@ def _line(plan: WallPlan, level: float, damping: float) -> WallLine:
 def _upwards(
     plan: WallPlan, level: float, damping: float, stiffnesses: Sequence[float]
 ) -> Iterator[Impact]:
-    """Stiffer and stiffer walls, up to and with the first that is not stable."""
+    """Yield impacts on ever stiffer walls, up to and including the first unstable one."""
     for stiffness in stiffnesses:
         impact = hit(plan, level, stiffness, damping)
         yield impact
@@ -172,7 +172,7 @@ def _upwards(
 
 
 def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impact:
-    """One impact at active damping `level` [Ns/m] on a wall of `stiffness` [N/m] and
+    """Simulate one impact at active damping `level` [Ns/m] on a wall of `stiffness` [N/m] and
     `damping` [Ns/m].
     """
     scene = plan.params.scene
@@ -199,7 +199,7 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
 
 
 def to_and_fro(velocity_m_per_s: Values) -> float:
-    """The largest speed that is reached both ways [m/s]; 0 for a motion in one direction."""
+    """Return the largest speed reached both ways [m/s]; 0 for a motion in one direction."""
     return max(
         0.0, float(min(velocity_m_per_s.max(initial=0.0), -velocity_m_per_s.min(initial=0.0)))
     )

@@ -1,48 +1,48 @@
-"""Watching a trial: the monitor that ends it before its time, and what was lost on its way.
+"""The monitor that ends a trial early, and the treatment of lost samples and slots.
 
-The monitor watches a trial while it runs and ends it for
+The monitor ends a running trial for
 
     escape        the velocity of a second is four times that of the calm ones, it grew faster
-                  than noise makes a ring grow (the rules of `signal.findings`), and the force
-                  did not grow with it; or faster than the device's own limit, where that is
+                  than a noise-driven resonance (the rules of `signal.findings`), and the force
+                  did not grow with it; or it is faster than the device's own limit, where that is
                   known; or the commanded force reached its limit in a motion that the
-                  perturbation does not explain, as a loop that ran away before the record began.
-                  Fast alone is no escape: a linear device moves as fast as it is pushed
-    saturation    a channel stands at its end in more than a hundredth of a second's samples, or the
-                  commanded force reached its limit: what is rendered then is not what was asked.
-                  The second after it is still looked at, because a loop that runs away reaches the
-                  limit first
-    travel        the device stands at an end of its travel: what is measured there is the stop
-    heat          the winding is hotter than asked
-    decided       asked to stop when the verdict stands (`until_decided`), it does: one that only
-                  the whole record can confirm (`signal.resolved`) does not stand yet
+                  perturbation does not explain, as in a loop that ran away before the record began.
+                  Speed alone is not an escape: a linear device moves as fast as it is driven
+    saturation    a channel is at its end in more than a hundredth of a second's samples, or the
+                  commanded force reached its limit: the rendered force then differs from the
+                  request. The next second is still checked, because a loop that runs away reaches
+                  the limit first
+    travel        the device is at an end of its travel, so the stop is measured
+    heat          the winding is hotter than its limit
+    decided       the verdict is final (with `until_decided`); a verdict that only the whole record
+                  can confirm (`signal.resolved`) is not final yet
 
-and says at any time how many seconds would buy the confidence that was asked for. It looks at whole
-seconds, so a record that it ends holds the second that was wrong: the verdict on that record says
-the same again.
+and can report at any time how many seconds the requested confidence would need. It checks whole
+seconds, so a record that it ends contains the second in question, and the verdict on that record
+repeats the finding.
 
-Limitations: a perturbation that is not stationary, such as a stepped sine; do not let it watch one.
-Under a force that repeats it gives no verdict on the way (`random` is False), for its spectra are
+Limitations: a perturbation that is not stationary, such as a stepped sine; do not use it there.
+Under a periodic force it gives no intermediate verdict (`random` is False), because its spectra are
 those of noise.
 
-Samples of the probe and slots of the servo that were lost are filled, counted and named. A record
-whose gaps are closed up jumps at every one of them, and a jump is noise at all frequencies: half a
-per cent lost by sixes took more than half of |Z| at 2 Hz over a spring of 500 N/m. So what is
-missing keeps its place in time:
+Lost samples of the probe and lost slots of the servo are filled, counted and reported. A record
+with closed gaps jumps at every one of them, and a jump is noise at all frequencies. Half a per cent
+lost in groups of six removed more than half of |Z| at 2 Hz over a spring of 500 N/m. Missing
+samples therefore keep their place in time:
 
-    up to 10 ms       a straight line in both channels: 1 % lost by sixes changes the window's |Z|
-                      by 3 % where it is worst; of a spring of 500 N/m that is judged again on its
-                      record, 0.5 % take a tenth at 2 Hz
-    longer            silence in both: a line would be a push that never was
+    up to 10 ms       a straight line in both channels: 1 % lost in groups of six changes the
+                      window's |Z| by at most 3 %; for a spring of 500 N/m judged again on its
+                      record, 0.5 % remove a tenth at 2 Hz
+    longer            zero in both: a line would be a force that never existed
 
-A lost slot is another matter: the servo left out a tick, the command before stood longer, and what
-was rendered was not what was asked. No analysis puts that right. A record that lost more than a
-hundredth of either decides nothing.
+A lost slot is different: the servo skipped a tick, the previous command was held longer, and the
+rendered force differed from the request. No analysis can correct that. A record that lost more than
+a hundredth of either decides nothing.
 
-A file whose column of times shows that rows are missing (`timestamps`) is treated alike.
+A file whose column of times shows missing rows (`timestamps`) is treated in the same way.
 
-What would break the filling: gaps that come with the motion (a board that loses what is fast); they
-come with the host's load.
+Limitations of the filling: gaps that correlate with the motion (a board that loses fast samples);
+normal gaps correlate with the host's load.
 """
 
 from collections.abc import Iterator, Mapping
@@ -64,14 +64,14 @@ __all__ = ["CENTRING_N_PER_M", "Watch"]
 
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
-# as the run's summary names them
+# names in the run's summary
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots", "limited_ticks", "ticks")
 REMEDY_OF_FILES = {
     "counter": "rows are missing by the counter in the file, record again without gaps",
     "times": "rows are missing by the times in the file, record again without gaps",
 }
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
-CALM_SECONDS = 4  # before which nothing is known of calm
+CALM_SECONDS = 4  # minimum seconds for a calm reference
 SATURATED_SHARE = 0.01
 AT_LIMIT = 1e-9  # of a limit, below which it counts as reached
 # unexplained over explained power, times limit over perturbation: stable displays have 2 at most,
@@ -84,15 +84,15 @@ CENTRING_N_PER_M = (
 
 
 class GapFiller:
-    """Puts blocks of numbered samples into even time; one for each stream."""
+    """Put blocks of numbered samples into even time; one instance per stream."""
 
     def __init__(self) -> None:
         self._last: tuple[int, Floats] | None = None  # number and values of the last sample
 
     def filled(self, index: Integers, values: Floats) -> tuple[Floats, Flags]:
-        """`values` (channels, n) of the samples numbered `index` (n,), with those that are missing
-        between them and since the block before; beside them which came (m,). Numbers that fall back
-        begin anew.
+        """Return `values` (channels, n) of the samples numbered `index` (n,), with the missing ones
+        between them and since the previous block filled, and which are measured (m,). A number that
+        falls restarts the numbering.
         """
         whole = index.astype(np.int64)
         known = values
@@ -111,9 +111,7 @@ class GapFiller:
 
 
 def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
-    """`recorded`, its samples those at `place` (n,), with what is missing between them filled
-    in and counted.
-    """
+    """Return `recorded`, its samples those at `place` (n,), missing ones filled and counted."""
     (force, velocity), came = GapFiller().filled(
         place, np.stack((recorded.force_n, recorded.velocity_m_per_s))
     )
@@ -124,8 +122,8 @@ def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
 
 
 def loss_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
-    """Lost samples and slots by `counts` (`COUNTS`, those that are known), each with value,
-    share and remedy; or that nothing shows them.
+    """Yield lost samples and slots from `counts` (`COUNTS`, the known ones), each with value, share
+    and remedy; or the fact that losses are unknown.
     """
     if counts.get(LOSSES_BY) == "nothing":
         yield Finding(
@@ -153,7 +151,7 @@ def _lost(counts: Mapping[str, Any], name: str, words: str, remedy: str) -> Iter
 
 
 def limit_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
-    """Ticks of a simulated trial in which the amplifier was at a limit, by `counts` (`COUNTS`)."""
+    """Yield the ticks of a simulated trial with the amplifier at a limit, from `counts`."""
     if limited := counts.get("limited_ticks"):
         share = limited / counts["ticks"]
         void = share > SATURATED_SHARE
@@ -168,7 +166,7 @@ def limit_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
-    """Counts of several records together; none where the records have none."""
+    """Sum the counts of several records; a count missing in one of them is omitted."""
     return {
         name: sum(part[name] for part in parts)
         for name in COUNTS
@@ -178,7 +176,7 @@ def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What a trial is watched for. Limits are those of the channels; inf where there are none."""
+    """The limits that end a trial, those of the channels; inf for none."""
 
     criteria: Criteria = field(default_factory=Criteria)
     model: LoopModel = field(default_factory=LoopModel)
@@ -187,15 +185,13 @@ class Watch:
     winding_limit_c: float = inf
     command_limit_n: float = inf  # of the force that the servo commands
     travel_m: tuple[float, float] = (-inf, inf)  # usable positions
-    speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
+    speed_limit_m_per_s: float = inf  # of the device: faster motion is impossible
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
 
 
 class TrialMonitor:
-    """Fed with a record as it arrives; `ended` says why the trial should end, None as long as it
-    should not.
-    """
+    """Fed with a record as it arrives; `ended` is the reason to end the trial, otherwise None."""
 
     def __init__(self, watch: Watch, rate_hz: float) -> None:
         self.ended: TrialEnd | None = None
@@ -205,7 +201,7 @@ class TrialMonitor:
         self.max_command_n = 0.0  # largest so far
         self._watch = watch
         self._rate_hz = rate_hz
-        self._at_limit = False  # the command was, by the end of the second before
+        self._at_limit = False  # whether the command was, at the end of the previous second
         self._stream = SpectralStream(rate_hz)
         self._rms: list[tuple[float, float]] = []  # of force and velocity, a second each
         self._rest = np.empty((2, 0))  # force and velocity of less than a second
@@ -218,7 +214,7 @@ class TrialMonitor:
 
     @property
     def outlook(self) -> str:
-        """How the recording stands, in words."""
+        """Description of the state of the recording."""
         if np.isnan(self.seconds_needed):
             return "recording"
         if self.seconds_needed <= self.seconds:
@@ -233,8 +229,8 @@ class TrialMonitor:
         command_n: float = 0.0,
         between_m: tuple[float, float] = (nan, nan),
     ) -> TrialEnd | None:
-        """Look at the next samples, both (n,); the reason to end, or None. Beside them were
-        `command_n`, the largest command, and positions `between_m`.
+        """Check the next samples, both (n,); return the reason to end, or None. `command_n` is the
+        largest command meanwhile, and `between_m` the range of positions.
         """
         self.max_command_n = max(self.max_command_n, command_n)
         self._rest = np.column_stack((self._rest, np.stack((force_n, velocity_m_per_s))))
@@ -295,8 +291,8 @@ class TrialMonitor:
             self._decide()
 
     def _at_its_limit(self, pushed: float) -> TrialEnd:
-        """A command that reached its limit: of a loop that moves by itself, or of one that was
-        pushed too hard.
+        """Return the end for a command at its limit: of a loop that moves by itself, or of one
+        driven too hard.
         """
         limit_n = self._watch.command_limit_n
         if self._watch.random and _own(self._stream.spectra()) * limit_n > OWN * pushed:
@@ -309,7 +305,7 @@ class TrialMonitor:
 
     def _ran_away(self, pushed: float, rms: float) -> bool:
         """Whether a second of that force and velocity ends an escape; a stronger force moves a
-        stable device as much faster.
+        stable device proportionally faster.
         """
         if len(self._rms) < CALM_SECONDS:
             return False
@@ -332,6 +328,6 @@ class TrialMonitor:
 
 
 def _own(trial: Spectra) -> float:
-    """Power of the velocity that the perturbation does not explain, over what it does."""
+    """Return the unexplained power of the velocity over the explained power."""
     explained = float((trial.velocity * trial.coherence).sum())
     return float(trial.velocity.sum()) / explained - 1.0 if explained > 0.0 else inf

@@ -32,7 +32,7 @@ BY_DELAY = {
         "unstable by itself, its motion doubles in N ms, worst near N Hz"
     ),
     "hapticd: allowed, each with the others as asked: B N to N N s/m": (
-        "hapticd: no K, B or M alone would do, with the others as asked"
+        "hapticd: lowering K, B or M alone is not enough"
     ),
 }
 

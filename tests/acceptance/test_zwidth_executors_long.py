@@ -69,8 +69,8 @@ def test_lost_dask_workers_are_told(what: str, scheduler: str) -> None:
     lost = distributed.KilledWorker("run_trials", last, 3) if what == "killed" else CancelledError()
     why = "Attempted to run task .*" if what == "killed" else "tasks were given up"
     told = (
-        rf"lost its scheduler or too many workers \({why}\); begun again, a map goes on from what"
-        r" it has kept"
+        rf"lost its scheduler or too many workers \({why}\); restarted, a map continues from"
+        r" its stored trials"
     )
     with pytest.raises(HapticdError, match=told), executor(scheduler):
         raise lost

@@ -221,6 +221,6 @@ def test_single_average_has_no_verdict():
     several = forces(4, 1)
     with pytest.raises(
         AnalysisError,
-        match=r"band from 0\.5 Hz: the period of 4096 samples says nothing below 0\.977 Hz",
+        match=r"band from 0\.5 Hz: the period of 4096 samples contains nothing below 0\.977 Hz",
     ):
         judge(periodic(several, answered(several), RATE_HZ), band_hz=(0.5, 500.0))

@@ -145,7 +145,7 @@ def test_a_band_below_the_window_is_judged_only_where_it_is_asked_for():
     assert judge(trial, below_window=True, **asked).within_90_deg
     found = judge(active, below_window=True, **asked)
     assert (found.first_judged_hz, found.within_90_deg) == (0.9, False)
-    with pytest.raises(AnalysisError, match="says nothing below"):
+    with pytest.raises(AnalysisError, match="contains nothing below"):
         judge(trial, **asked)
 
 

@@ -144,7 +144,7 @@ WALLS = ["walls", "--no-plot", "--active-damping", "0"]
         ([*TRIAL, "--active-damping", "inf"], 65, "active damping of inf N s/m"),
         ([*TRIAL, "--viscous", "inf"], 65, "damping of inf N s/m"),
         ([*TRIAL, "-K", "nan"], 65, "stiffness of nan N/m"),
-        ([*TRIAL, "--band", "2", "5000"], 65, "say nothing above 2000 Hz"),
+        ([*TRIAL, "--band", "2", "5000"], 65, "contain nothing above 2000 Hz"),
         ([*MAP, "--active-damping", "nan"], 2, "levels must be finite and not negative"),
         ([*MAP, "--active-damping", "0,inf"], 2, "levels must be finite and not negative"),
         ([*MAP, "--band", "500", "2"], 65, "band of 500..2 Hz"),

@@ -133,7 +133,7 @@ def test_file_that_is_no_whole_summary_is_refused(content, tmp_path):
 
 
 def test_one_display_is_no_comparison():
-    with pytest.raises(AnalysisError, match="one display is no comparison"):
+    with pytest.raises(AnalysisError, match="one display is not a comparison"):
         compare([SUMMARY])
     with pytest.raises(
         AnalysisError, match="--allow colour: no such condition; known: device, mass_kg"

@@ -167,7 +167,7 @@ def test_brackets_of_help_texts_are_printed(capsys):
         (
             ["--excitation", "multisine", "--band", "0.5", "500"],
             65,
-            "the period of 4096 samples says nothing below 0.977 Hz",
+            "the period of 4096 samples contains nothing below 0.977 Hz",
         ),
         (["--lag", "4096", "--seconds", "5"], 65, "a verdict takes 7.68 s or more"),
         (

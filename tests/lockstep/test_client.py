@@ -484,7 +484,7 @@ def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Clie
                 with pytest.raises(CommandError, match="was taken over by operator"):
                     use()
 
-    with pytest.raises(CommandError, match="what was done since then was not excluded"):
+    with pytest.raises(CommandError, match="changes since then were not excluded"):
         lose()
     client.damping("on")
 

@@ -227,7 +227,7 @@ ROWS: list[Row] = [
         "LimitRTTIME=infinity",
     ),
     (probes.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
-    (probes.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
+    (probes.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "is not writable", "udev rule"),
     (probes.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
     (probes.c_states, {}, {}, ASKED, "ok", "driver none", ""),
     (probes.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),

@@ -131,10 +131,7 @@ def test_what_came_during_a_standstill_is_dropped(rig: GatewayRig) -> None:
     error = decoded(rig.receive(client, ticks=0))["error"]
     assert (error["code"], error["message"]) == (
         "timeout",
-        (
-            "enable: the gateway stood still for more than 1 s and drops what came meanwhile; ask"
-            " again"
-        ),
+        "enable: the gateway stalled for more than 1 s and dropped this request; repeat it",
     )
     assert rig.ask(other, cmd="stop")["ok"] or rig.servo.mailbox.stop_word.pressed
     assert not [kind for kind, _ in rig.servo.taken if kind == Command.ENABLE]

@@ -334,7 +334,8 @@ def test_what_is_in_the_way_is_named(tmp_path, name):
     with pytest.raises(
         MailboxError,
         match=(
-            rf"{name}: Is a directory; make room, correct its rights or remove what is in the way"
+            rf"{name}: Is a directory; free some space, correct its permissions or remove"
+            " the obstacle"
         ),
     ):
         ServoMailbox(tmp_path, 1000.0, "", True, 5)
@@ -344,9 +345,9 @@ def test_full_disk_is_named(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
-        with pytest.raises(MailboxError, match="mailbox: File too large; make room"):
+        with pytest.raises(MailboxError, match="mailbox: File too large; free some space"):
             ServoMailbox(tmp_path, 1000.0, "", True, 5)
-        with pytest.raises(MailboxError, match="text: File too large; make room"):
+        with pytest.raises(MailboxError, match="text: File too large; free some space"):
             files.write_whole(tmp_path / "text", "x" * 2000)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -170,9 +170,7 @@ def test_worker_of_other_versions_is_refused(there: dict[str, Any], said: str) -
     )
     with pytest.raises(
         ConfigError,
-        match=(
-            f"Dask worker tcp://w:2 {said} outcomes would depend on where they were made; install"
-        ),
+        match=(f"Dask worker tcp://w:2 {said} outcomes would depend on the machine; install"),
     ):
         executors._look_at_workers(client, "tcp://w:0")
 

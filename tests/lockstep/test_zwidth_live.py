@@ -80,7 +80,7 @@ def test_trial_that_someone_changes_is_undecided(rigid, act):
     assert found.verdict.answer == "undecided"
     assert found.verdict.stability == "stable"
     assert found.recorded.seconds < SECONDS
-    assert "someone changed what was rendered or the perturbation" in str(found.verdict)
+    assert "another client changed the environment or the perturbation" in str(found.verdict)
 
 
 class Looped(LockStepClient):

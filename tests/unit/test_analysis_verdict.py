@@ -192,7 +192,7 @@ def test_frequency_without_power_leaves_it_undecided():
         (
             {},
             {"band_hz": (1.9, 500.0)},
-            "band from 1.9 Hz: the window of 2048 samples says nothing below 1.95 Hz",
+            "band from 1.9 Hz: the window of 2048 samples contains nothing below 1.95 Hz",
         ),
         (
             {},
@@ -244,7 +244,7 @@ def test_band_beyond_half_the_sample_rate_is_refused(high_hz):
     """A verdict would name a band in which nothing was looked at."""
     assert judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, 2000.0)).band_hz == (2.0, 2000.0)
     with pytest.raises(
-        AnalysisError, match=r"samples at 4000 Hz say nothing above 2000 Hz; end there"
+        AnalysisError, match=r"samples at 4000 Hz contain nothing above 2000 Hz; end there"
     ):
         judge(exact_trial(mass_damper(), 0.99), band_hz=(2.0, high_hz))
 

@@ -317,7 +317,7 @@ def test_status_says_what_is_compensated_of_the_winding(
     assert "(tolerance 0.03 ohm)" in told
     assert "loop gain +0.0185, +0.0426 at the highest active damping; never below -0.3" in told
     assert main(["status"]) == 0
-    assert "without a sensor what is left is not known" in capsys.readouterr().out
+    assert "without a sensor the rest is unknown" in capsys.readouterr().out
     assert main(["status"]) == 0
     assert "0.029 ohm TOO MUCH" in capsys.readouterr().out
     assert main(["status"]) == 0
@@ -733,7 +733,7 @@ def test_release_takes_over_and_leaves_it_to_anyone(
     assert (asked, done) == ([(("measuring",), {"take_over": True})], ["take", "release"])
     out = capsys.readouterr().out
     assert "before: measuring: trial (actor 17)" in out
-    assert "measuring is anyone's to change" in out
+    assert "measuring may be changed by any client" in out
 
 
 def test_take_holds_until_ctrl_c_and_releases(

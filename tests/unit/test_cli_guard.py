@@ -43,7 +43,7 @@ WRONG = "1.01 N s/m short; at 112 Hz"  # a mark that joined sentences once
 REMEDY = "ask for less"
 SAYS = [
     "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
-    "least level of active damping tried that would do: 1.43 N s/m",
+    "least level of active damping tried that is enough: 1.43 N s/m",
     EVENT["text"],
 ]
 GUARD = {
@@ -161,7 +161,7 @@ def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
     assert far is not None
     assert near is not None
     told = objection_lines(far)
-    assert "no active damping of this device would do" in told
+    assert "no active damping of this device is enough" in told
     assert "ask for less" in told
     remedy = "ask for less, or for more active damping"
     assert remedy in objection_lines(near)
@@ -285,7 +285,7 @@ def test_unknown_cost_of_the_delay_is_no_line() -> None:
 def test_measuring_is_shown() -> None:
     measuring = {**GUARD, "measuring": True, "worker": "down", "trouble": "gone"}
     line = guard_line(answer_of(GuardStatus, measuring))
-    assert line.startswith("off: somebody measures")
+    assert line.startswith("off: a measurement is running")
     assert line.endswith("; gone")
 
 

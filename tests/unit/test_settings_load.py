@@ -129,7 +129,7 @@ def test_installed_package_brings_its_files(
     package = tmp_path / "site-packages" / "hapticd"
     package.mkdir(parents=True)
     monkeypatch.setattr(toml, "_PACKAGE", package)
-    with pytest.raises(ConfigError, match=r"config/ is missing beside .*; install hapticd again"):
+    with pytest.raises(ConfigError, match=r"config/ is missing next to .*; install hapticd again"):
         shipped("config")
     (package / "_data" / "config").mkdir(parents=True)
     assert shipped("config") == package / "_data" / "config"

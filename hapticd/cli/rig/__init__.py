@@ -7,7 +7,7 @@ from hapticd.cli.rig import guided, steps, verbs
 
 app = typer.Typer(
     invoke_without_command=True,
-    help="First day at the rig: measure the device step by step, and write its device file.",
+    help="Commission a device: measure it step by step, and write its device file.",
 )
 app.callback()(guided.guided)
 for verb in (

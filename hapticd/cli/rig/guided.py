@@ -30,13 +30,13 @@ with deferred_imports():
 
 
 WELCOME = """\
-First day at the rig: what is measured goes into the device file, with its date and interval.
+Commissioning: each measurement goes into the device file, with its date and interval.
 Each can be left out now and done by itself later (`hapticd rig STEP`). Ctrl-C ends force; the path
 goes on from there when it is asked for again. Enter takes the answer in brackets."""
 RESTART = (
     "Signs are verified from the next start of the daemon: start it again, then `hapticd rig`."
 )
-NOT_VERIFIED = "Signs are not verified yet: do what was refused again with `hapticd rig`."
+NOT_VERIFIED = "The signs are not verified yet: repeat the refused steps with `hapticd rig`."
 DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to look at, and a trial."
 
 
@@ -212,7 +212,7 @@ def number(question: str) -> float:
         with suppress(ValueError):
             if isfinite(found := float(text)):
                 return found
-        terminal.talk(f"{text!r} is no number; write it like 0.05")
+        terminal.talk(f"{text!r} is not a number; write it like 0.05")
 
 
 def _kept_on(step: terminal.Verb) -> None:

@@ -47,7 +47,7 @@ class StepOptions:
 
     yes: Annotated[
         bool,
-        typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write."),
+        typer.Option("--yes", help="Do not ask: announce each action, wait 5 s, then write."),
     ] = False
     config: terminal.ConfigFile = None
     instance: terminal.Instance = terminal.INSTANCE
@@ -107,7 +107,7 @@ def answer(question: str) -> str:
     try:
         return input().strip()
     except EOFError as error:
-        raise ConfigError("nobody answers here; ask nothing with --yes") from error
+        raise ConfigError("stdin is not a terminal; use --yes to run without prompts") from error
 
 
 def agreed(question: str, usual: bool = True) -> bool:
@@ -193,8 +193,8 @@ def _written(
 
 
 def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
-    """Ten seconds of frames without force: delay, jitter, age, damaged and missing frames, and the
-    board's clock; a verdict and a remedy for each. Exit 4 if something must not stay.
+    """Judge the link from ten seconds of frames without force: delay, jitter, age, damaged and
+    missing frames, and the board's clock, each with a remedy. Exit 4 if one is unacceptable.
     """
     with connect(instance) as client:
         show(link_step.measure(client), as_json)

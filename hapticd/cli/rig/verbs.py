@@ -33,7 +33,7 @@ with deferred_imports():
 LOOK_S = 0.1
 Lowest = Annotated[
     float,
-    typer.Option("--lowest", metavar="HZ", min=0.1, help="Lowest frequency that is judged."),
+    typer.Option("--lowest", metavar="HZ", min=0.1, help="Lowest judged frequency."),
 ]
 Length = Annotated[
     float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of each trial.")
@@ -42,19 +42,24 @@ Length = Annotated[
 
 def encoder(
     distance: Annotated[
-        float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
+        float,
+        typer.Option(
+            "--distance", metavar="M", min=1e-4, help="Distance from position A to B, in m."
+        ),
     ],
     tolerance: Annotated[
         float,
-        typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m."),
+        typer.Option(
+            "--tolerance", metavar="M", min=0.0, help="Uncertainty of that distance (95 %), in m."
+        ),
     ] = 10e-6,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """Sign, scale and noise of the encoder, by hand: no force is made.
+    """Measure sign, scale and noise of the encoder by hand, without force.
 
-    The handle is moved to positive x, then between two positions a stated distance apart, and last
-    to where x = 0 shall be. Writes the table `position` of the device file.
+    Move the handle to positive x, then between two positions a stated distance apart, and last to
+    the place of x = 0. Writes the table `position` of the device file.
     """
     apart = encoder_step.Distance(distance, tolerance)
     steps.run(options, lambda client, ask: encoder_step.measure(client, ask, apart))
@@ -63,10 +68,15 @@ def encoder(
 def motor(
     mass: Annotated[
         list[float] | None,
-        typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
+        typer.Option(
+            "--mass", metavar="KG", help="Hanging mass; repeat the option, and include 0."
+        ),
     ] = None,
     pulls_to: Annotated[
-        int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")
+        int,
+        typer.Option(
+            "--pulls-to", metavar="SIDE", help="Direction of the masses' pull along x: -1 or 1."
+        ),
     ] = -1,
     radius_ratio: Annotated[
         float,
@@ -74,20 +84,35 @@ def motor(
             "--radius-ratio",
             metavar="R",
             min=1e-3,
-            help="Radius of the masses by that of the endpoint.",
+            help="Radius at which the masses hang, over the endpoint's radius.",
         ),
     ] = 1.0,
     spring: Annotated[
         float | None,
-        typer.Option("--spring", metavar="N/M", min=1.0, help="Gain by a spring of so many N/m."),
+        typer.Option(
+            "--spring",
+            metavar="N/M",
+            min=1.0,
+            help="Measure the gain with a spring of this stiffness, N/m.",
+        ),
     ] = None,
     spring_tolerance: Annotated[
         float,
-        typer.Option("--spring-tolerance", metavar="SHARE", min=0.0, help="Of the spring (95 %)."),
+        typer.Option(
+            "--spring-tolerance",
+            metavar="SHARE",
+            min=0.0,
+            help="Uncertainty of the spring (95 %), relative.",
+        ),
     ] = 0.01,
-    offset: Annotated[bool, typer.Option("--offset", help="The count of no force alone.")] = False,
+    offset: Annotated[
+        bool, typer.Option("--offset", help="Measure only the count of zero force.")
+    ] = False,
     winding: Annotated[
-        bool, typer.Option("--winding", help="Force per ampere, ohm and back-EMF.")
+        bool,
+        typer.Option(
+            "--winding", help="Measure force per ampere, winding resistance and back-EMF."
+        ),
     ] = False,
     lever_m: Annotated[
         float | None,
@@ -98,10 +123,10 @@ def motor(
     *,
     options: steps.StepOptions,
 ) -> None:
-    """By itself the sign of the force, by pushes of 20 ms with at most a tenth of it: verifies the
-    signs. With --mass gain and offset, by masses that hang from the handle; with --spring the gain,
-    by a spring between handle and frame; with --offset the count of no force; with --winding what
-    an ampere makes, what the winding resists and what a motion induces.
+    """Verify the sign of the force with pushes of 20 ms at no more than a tenth of it. With --mass,
+    measure gain and offset with masses that hang from the handle; with --spring, the gain with a
+    spring between handle and frame; with --offset, the count of zero force; with --winding, force
+    per ampere, resistance and back-EMF.
 
     Writes the tables `force`, `commissioning`, `motor` and `emf_velocity` of the device file.
     """
@@ -133,8 +158,8 @@ def _one_of(*chosen: bool) -> None:
 
 
 def damping(options: steps.StepOptions) -> None:
-    """Polarity of the active damping, N s/m per count, physical damping, and what the compensation
-    leaves of the winding's resistance, by pushes and free glides with a tenth of the force.
+    """Measure polarity and N s/m per count of the active damping, the physical damping, and the
+    uncompensated resistance of the winding, by pushes and free glides with a tenth of the force.
 
     Let go of the handle. Writes the table `active_damping` and `limits.physical_damping_ns_per_m`
     of the device file.
@@ -144,16 +169,16 @@ def damping(options: steps.StepOptions) -> None:
 
 def trim(
     seconds: Annotated[
-        float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
+        float, typer.Option("--seconds", min=3.0, max=600.0, help="Display time.")
     ] = 20.0,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """Live: what the resistance compensation leaves of the back-EMF, the loop gain that it makes at
-    the limit of the active damping, and the greatest damping that is allowed.
+    """Show live how much of the back-EMF the resistance compensation leaves, the loop gain at the
+    limit of the active damping, and the highest permitted active damping.
 
-    Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
-    gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
+    Move the handle back and forth against a weak spring meanwhile; active damping is off. A loop
+    gain below -0.5 gives a warning; below -0.9 the step ends with a refusal (exit 4).
     """
     steps.run(
         options,
@@ -164,16 +189,22 @@ def trim(
 def audit(
     level: Annotated[
         float | None,
-        typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
+        typer.Option(
+            "--level",
+            metavar="NS_PER_M",
+            min=0.0,
+            help="Active damping level to test (default: half the maximum).",
+        ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
+        float,
+        typer.Option("--seconds", min=6.0, max=60.0, help="Time for which the handle is moved."),
     ] = 6.0,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """What is commanded against what is delivered, of active damping and force, while a hand moves
-    the handle to and fro against a weak spring. Writes nothing into the device file.
+    """Compare delivered with commanded active damping and force, while a hand moves the handle back
+    and forth against a weak spring. Writes nothing into the device file.
     """
     steps.run(options, lambda client, ask: delivery.measure_delivery(client, ask, level, seconds))
 
@@ -181,31 +212,37 @@ def audit(
 def probe(
     mass: Annotated[
         float,
-        typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
+        typer.Option("--mass", metavar="KG", min=1e-4, help="Mass attached to the handle, in kg."),
     ],
     tolerance: Annotated[
         float,
-        typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative."),
+        typer.Option(
+            "--tolerance", metavar="R", min=0.0, help="Uncertainty of that mass (95 %), relative."
+        ),
     ] = 1e-3,
     lowest: Lowest = 2.0,
     stiffness: Annotated[
         float,
         typer.Option(
-            "--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."
+            "--stiffness",
+            metavar="N/M",
+            min=0.0,
+            help="Stiffness of the spring at which skew is judged.",
         ),
     ] = 600.0,
     no_one_signal: Annotated[
         bool,
         typer.Option(
-            "--no-one-signal", help="There is no signal for both channels: leave skew out."
+            "--no-one-signal",
+            help="Skip the skew measurement (no common signal for both channels).",
         ),
     ] = False,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """Gain, sign, offset and noise of both probe channels: the perturbation shakes the free handle
-    at 10 to 30 Hz, without and with a known mass. One signal into both channels shows skew and
-    unequal high-passes, as the damping that a spring seems to have by them.
+    """Measure gain, sign, offset and noise of both probe channels: the perturbation drives the free
+    handle at 10 to 30 Hz, without and with a known mass. One signal into both channels shows skew
+    and unequal high-pass filters, as the apparent damping of a spring.
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
@@ -220,21 +257,25 @@ def probe(
 def temperature(
     at: Annotated[
         list[float],
-        typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
+        typer.Option("--at", metavar="C", help="Thermometer reading, in degC; once or twice."),
     ],
     tolerance: Annotated[
-        float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
+        float,
+        typer.Option(
+            "--tolerance", metavar="C", min=0.0, help="Uncertainty of the thermometer (95 %)."
+        ),
     ] = 0.5,
     no_shake: Annotated[
-        bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")
+        bool, typer.Option("--no-shake", help="Skip the back-EMF channel.")
     ] = False,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """Offset, noise and drift of the winding's temperature at a stated temperature, its scale with
-    a second one; then scale and sign of the back-EMF channel, while a hand shakes the handle.
+    """Measure offset, noise and drift of the winding's temperature at a stated temperature, and its
+    scale with a second one; then scale and sign of the back-EMF channel, while a hand moves the
+    handle.
 
-    Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
+    No force is applied. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
     stated = temperature_step.KnownTemperatures(tuple(at), tolerance)
     steps.run(
@@ -244,8 +285,9 @@ def temperature(
 
 
 def identify(options: steps.StepOptions) -> None:
-    """Moving mass, viscous and Coulomb friction, delay and smoothing of the force, by shaking the
-    free handle with the probe for half a minute; and which assumption the residuals contradict.
+    """Identify moving mass, viscous and Coulomb friction, delay and smoothing of the force, by
+    driving the free handle with the probe for half a minute. Show which assumption the residuals
+    contradict.
 
     Writes the tables `model` of the device file, with which `zwidth predict`, the guard and
     `zwidth search` calculate. Signs have to be verified.
@@ -265,26 +307,25 @@ def verify(
     ] = 0.004,
     attach: Annotated[
         float,
-        typer.Option(
-            "--attach", metavar="KG", min=0.0, help="Also a mass that a hand fixes to it."
-        ),
+        typer.Option("--attach", metavar="KG", min=0.0, help="Also attach a known mass by hand."),
     ] = 0.0,
     spring: Annotated[
         float,
         typer.Option(
-            "--spring", metavar="N/M", min=0.0, help="Also a spring that a hand puts on it."
+            "--spring", metavar="N/M", min=0.0, help="Also attach a known spring by hand."
         ),
     ] = 0.0,
     seconds: Length = 20.0,
     *,
     options: steps.StepOptions,
 ) -> None:
-    """Render a known spring, damper and mass, attach known ones if asked, and see whether the probe
-    finds them within what the calibrations leave; with theory, spectra, wire and timing.
+    """Render a known spring, damper and mass, attach known ones on request, and check that the
+    probe finds them within the uncertainty of the calibrations; also check theory, spectra, wire
+    and timing.
 
-    Writes a certificate beside the device file, as JSON and as a page to print. Recordings and
-    trials name it, and say when the device file has changed since. Exit 4 if something is not as
-    it should be: the certificate then says so.
+    Writes a certificate next to the device file, as JSON and as a printable page. Recordings and
+    trials refer to it, and report if the device file has changed since. Exit 4 if a check failed;
+    the certificate then lists it.
     """
     settings = load.load(options.config)
     known = verify_step.KnownParts(stiffness, viscous, mass, attach, spring, seconds)

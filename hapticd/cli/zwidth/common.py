@@ -40,13 +40,17 @@ SceneName = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Keep results there; else zwidth-runs/, by date."),
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Folder for results (default: one in zwidth-runs/, named by date).",
+    ),
 ]
 Seconds = Annotated[float, typer.Option("--seconds", metavar="S", help="Length of a trial.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the perturbation.")]
 Band = Annotated[
     tuple[float, float],
-    typer.Option("--band", metavar="LOW HIGH", help="Band that is judged, Hz."),
+    typer.Option("--band", metavar="LOW HIGH", help="Judged band, Hz."),
 ]
 Confidence = Annotated[
     float, typer.Option("--confidence", min=0.5, max=0.9999, help="Confidence of the verdict.")

@@ -47,28 +47,28 @@ def command(
             metavar="N",
             min=1,
             max=9,
-            help="Perturbation amplitudes, each twice the last.",
+            help="Number of perturbation amplitudes, each twice the one before.",
         ),
     ] = 1,
-    axis: Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")] = "KBM",
+    axis: Annotated[
+        str, typer.Option("--axis", metavar="KBM", help="Parameters to search: K, B, M.")
+    ] = "KBM",
     seeds: Annotated[
         int,
-        typer.Option(
-            "--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter."
-        ),
+        typer.Option("--seeds", metavar="N", min=1, help="Number of noise seeds, for the scatter."),
     ] = 1,
     *,
     trials: common.TrialsOptions,
     confidence: common.Confidence = 0.95,
     results: common.ResultsOptions,
 ) -> None:
-    """How far K, B and M each go alone before the display is not passive: predicted, then by
-    simulated trials.
+    """Find how far K, B and M each go alone before the display is not passive: by prediction, then
+    by simulated trials.
 
-    With --amplitudes 3 also at 2 and 4 times the perturbation's force: with friction a limit is one
-    of its amplitude.
+    With --amplitudes 3 also at 2 and 4 times the perturbation's force: with friction, a limit
+    depends on the amplitude.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
+    Ctrl-C is safe: the same command with the same --out continues where it ended. With --json each
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
     terminal.need_engine(results.plot)

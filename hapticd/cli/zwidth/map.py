@@ -56,28 +56,31 @@ def command(
     near: Annotated[
         float,
         typer.Option(
-            "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
+            "--near",
+            help="Relative width of the zone around the predicted boundary that is tried.",
+            min=0.0,
+            max=0.9,
         ),
     ] = 0.15,
     everywhere: Annotated[
-        bool, typer.Option("--everywhere", help="Try every point, the paper's way.")
+        bool, typer.Option("--everywhere", help="Try every point, as the paper does.")
     ] = False,
     refine: Annotated[
         int,
         typer.Option(
-            "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
+            "--refine", metavar="N", help="Times to halve the grid at the boundary.", min=0, max=1
         ),
     ] = 0,
     *,
     trials: common.TrialsOptions,
     results: common.ResultsOptions,
 ) -> None:
-    """Map the passive set of a simulated display. Predicted first; trials where the prediction
-    leaves doubt.
+    """Map the passive set of a simulated display: by prediction, and by trials where the prediction
+    is uncertain.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
-    new outcome is a line, and the last line is the result; trials that --out had kept already are
-    in its trials.jsonl.
+    Ctrl-C is safe: the same command with the same --out continues where it ended. With --json each
+    new outcome is a line, and the last line is the result; earlier trials of --out are in its
+    trials.jsonl.
     """
     terminal.need_engine(results.plot)
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)

@@ -17,7 +17,7 @@ with deferred_imports():
 
 
 DEVICE_OF = "fig4"  # default of --scene
-LEFT_OUT = "What is not given; without it the device of fig4, and 0."
+LEFT_OUT = "Source of values that you omit (default: the device of fig4, and 0)."
 UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--active-damping": "N s/m"}
 
 
@@ -35,8 +35,8 @@ def command(
 
     The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and
     holds for every input. The prediction counts friction at the amplitude of the trials, which
-    fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
-    the display is built and tried. K < 0 is always refused.
+    fades as the motion grows. Where the theorem finds too little damping, the command builds and
+    tries the passive hand that makes the display unstable. K < 0 is always refused.
     """
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
     asked = sources.given(
@@ -112,7 +112,7 @@ def _motion(radius: float, period_s: float) -> str:
 
 def _theorem(found: "forecast.Forecast") -> str:
     if found.refused or not found.stable:
-        return "says nothing: it presumes K >= 0 and a stable loop"
+        return "no answer: it presumes K >= 0 and a stable loop"
     if found.theorem_passive:
         return f"{found.theorem_margin:.3g} N s/m to spare for every input, without friction"
     return f"{-found.theorem_margin:.3g} N s/m missing without friction"

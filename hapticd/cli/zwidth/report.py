@@ -54,8 +54,8 @@ def report(
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
-    folder, drawn again there, or in --out.
+    """Draw all figures of a simulated device and write NAME.zwidth, its portable summary; or redraw
+    those of a run folder, there or in --out.
     """
     terminal.need_figures(True)
     folder = Path(what)
@@ -193,7 +193,9 @@ def _own_trial(
 
 Files = Annotated[
     list[Path],
-    typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them."),
+    typer.Argument(
+        metavar="A.zwidth B.zwidth ...", help="Summaries written by `hapticd zwidth report`."
+    ),
 ]
 
 
@@ -204,7 +206,7 @@ def compare(
         typer.Option(
             "--allow",
             metavar="NAME[,NAME...]",
-            help="Conditions that may be unlike; they are named with the result.",
+            help="Conditions that may differ; the result lists them.",
         ),
     ] = "",
     out: common.Out = None,
@@ -212,12 +214,12 @@ def compare(
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """The fair comparison of displays: envelopes and limits as they are, and divided by the mass
-    that moves, where a larger display is no better one.
+    """Compare displays fairly: envelopes and limits as they are, and divided by the moving mass, so
+    that a larger display has no advantage.
 
     Files of unlike conditions (band, judged frequencies, perturbation, length of a trial,
-    confidence) are refused, the unlike ones named; --allow judged_hz,seconds compares them all the
-    same, and says so.
+    confidence) are refused, with the unlike ones listed; --allow judged_hz,seconds compares them
+    anyway, with a note.
     """
     found = portable.compare(files, [name for name in allow.split(",") if name])
     folder = common.folder(out, "compare")
@@ -257,16 +259,18 @@ def export(
         Literal["npz", "mat", "csv"],
         typer.Argument(
             metavar="npz|mat|csv",
-            help="For python-control, for `frd` of MATLAB or Octave, or comma-separated values.",
+            help="Format: python-control, `frd` of MATLAB or Octave, or comma-separated values.",
         ),
     ],
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", callback=terminal.there, help="The folder of a trial.")
+        Path, typer.Argument(metavar="RUN", callback=terminal.there, help="Folder of a trial.")
     ],
     out: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[OUT]", help="Else impedance-frd in the folder.", show_default=False
+            metavar="[OUT]",
+            help="Output file (default: impedance-frd in the folder).",
+            show_default=False,
         ),
     ] = None,
     as_json: terminal.Json = False,

@@ -43,26 +43,26 @@ def command(
     budget: Annotated[
         int,
         typer.Option(
-            "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
+            "--budget", metavar="N", min=5, help="Most trials at each level of active damping."
         ),
     ] = 40,
     doubt: Annotated[
         float,
         typer.Option(
-            "--doubt", help="End when noise leaves this share of the volume open.", min=0.0
+            "--doubt", help="Stop when noise leaves this share of the volume undecided.", min=0.0
         ),
     ] = 0.02,
     together: Annotated[
-        int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")
+        int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen together.")
     ] = 4,
     *,
     trials: common.TrialsOptions,
     results: common.ResultsOptions,
 ) -> None:
-    """Find the boundary with few trials: begin from the prediction, learn how Re Z differs from it
-    over K, B and M, and try next the point of the boundary that is farthest from all trials.
+    """Find the boundary with few trials: start from the prediction, model how Re Z differs from it
+    over K, B and M, and next try the point of the boundary that is farthest from all trials.
 
-    Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
+    Ctrl-C is safe: the same command with the same --out continues where it ended. With --json each
     new outcome is a line, and the last line is the result.
     """
     terminal.need_engine(results.plot)

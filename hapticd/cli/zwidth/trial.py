@@ -60,7 +60,9 @@ FILES = (
 SceneOfTrial = Annotated[
     str,
     typer.Option(
-        "--scene", metavar="NAME|FILE", help="Device and environment; engine, lockstep: else fig4."
+        "--scene",
+        metavar="NAME|FILE",
+        help="Device and environment (default for engine and lockstep: fig4).",
     ),
 ]
 
@@ -79,13 +81,16 @@ class TrialOptions:
     active_damping: common.OneDamping = None
     excitation: Annotated[
         Literal["noise", "multisine"],
-        typer.Option("--excitation", metavar="noise|multisine", help="How the probe is driven."),
+        typer.Option("--excitation", metavar="noise|multisine", help="Excitation of the probe."),
     ] = "noise"
     seconds: Annotated[
-        float, typer.Option("--seconds", metavar="S", help="Length of a trial by noise.")
+        float, typer.Option("--seconds", metavar="S", help="Length of a trial with noise.")
     ] = 90.0
     realisations: Annotated[
-        int, typer.Option("--realisations", metavar="N", help="Multisines of other phases.", min=1)
+        int,
+        typer.Option(
+            "--realisations", metavar="N", help="Number of multisines with different phases.", min=1
+        ),
     ] = 8
     periods: Annotated[
         int,
@@ -126,29 +131,31 @@ class TrialOptions:
     sine: Annotated[
         bool,
         typer.Option(
-            "--stepped-sine", help="Also by single sines at 12 frequencies, as a cross-check."
+            "--stepped-sine",
+            help="Also measure with single sines at 12 frequencies, as a cross-check.",
         ),
     ] = False
     until_decided: Annotated[
-        bool, typer.Option("--until-decided", help="End when the verdict stands.")
+        bool,
+        typer.Option("--until-decided", help="Stop as soon as the verdict is statistically clear."),
     ] = False
     mark: Annotated[
         bool,
         typer.Option(
             "--mark",
-            help="Begin with a mark by which `import --align` finds the trial; live, lockstep.",
+            help="Start with a marker by which `import --align` finds the trial; live, lockstep.",
         ),
     ] = False
     uncalibrated: Annotated[
         bool,
         typer.Option(
             "--uncalibrated",
-            help="live: also with calibrations that are missing, old or of another board.",
+            help="live: accept calibrations that are missing, old or of another board.",
         ),
     ] = False
     hottest: Annotated[
         float,
-        typer.Option("--hottest", metavar="C", help="Winding temperature that ends the trial."),
+        typer.Option("--hottest", metavar="C", help="Winding temperature at which the trial ends."),
     ] = 100.0
 
 
@@ -165,14 +172,16 @@ class FileOptions:
     ] = ""
     rate_hz: Annotated[
         float | None,
-        typer.Option("--rate-hz", metavar="HZ", help="Sample rate of FILE, where it does not say."),
+        typer.Option(
+            "--rate-hz", metavar="HZ", help="Sample rate of FILE, if the file does not contain it."
+        ),
     ] = None
     counter: Annotated[
         str,
         typer.Option(
             "--counter",
             metavar="COLUMN",
-            help="Column of FILE that numbers its samples, in up to 48 bits: shows lost rows.",
+            help="Column of FILE with a sample counter of up to 48 bits; it reveals lost rows.",
         ),
     ] = ""
     skew: Annotated[
@@ -189,7 +198,7 @@ class FileOptions:
         typer.Option(
             "--high-pass",
             metavar="HZ",
-            help="Known corner of an AC-coupled velocity channel, taken out.",
+            help="Corner of an AC-coupled velocity channel, to correct for.",
             min=0,
         ),
     ] = 0.0
@@ -220,14 +229,14 @@ def trial(
     """Run one trial of one environment: perturb the device, estimate its impedance, and judge
     whether it is passive.
 
-    White noise and spectral analysis, the paper's way, or multisines (period 1.024 s): better for a
-    device without friction, and with friction only as good as the number of realisations. Of K, B
-    and M what is not given is that of the scene that --scene names, else 0; with none of the three
-    given they are those of fig4, live without --scene they are 0, and of a record of hapticd's own
-    what it says. Active damping and perturbation are the scene's unless given. `live` enables the
-    daemon's device by itself, says so, shakes it, and disables it at the end and on Ctrl-C; give a
-    K that holds it in its travel (-K 20). A FILE is .csv, .npz, .mat or .h5; one of multisines
-    holds whole realisations, each with its settling period.
+    Excite with white noise, as the paper does, or with multisines (period 1.024 s): better for a
+    device without friction, and with friction only as good as the number of realisations. Each of
+    K, B and M that you omit comes from --scene, or is 0 without one. If you omit all three, engine
+    and lockstep use fig4, live uses 0, and hapticd's own records use their own values. Active
+    damping and perturbation default to the scene's. `live` enables the device of the daemon,
+    announces it, drives it, and disables it at the end and on Ctrl-C; choose a K that keeps it
+    within its travel (-K 20). A FILE is .csv, .npz, .mat or .h5; one of multisines has whole
+    realisations, each with its settling period.
     """
     _check(asked)
     if asked.source == "engine":
@@ -279,7 +288,7 @@ def _check(asked: TrialOptions) -> None:
         )
     if asked.mark and (asked.source not in MARKED or asked.excitation == "multisine"):
         raise typer.BadParameter(
-            "--mark: only the noise of live and lockstep trials is marked; leave that out"
+            "--mark: only the noise of live and lockstep trials is marked; omit that option"
         )
     if asked.until_decided and asked.excitation == "multisine":
         raise typer.BadParameter(
@@ -541,13 +550,13 @@ def import_record(
     plot: common.Plot = False,
     as_json: terminal.Json = False,
 ) -> None:
-    """Bring in a record of any other system: a run folder with the record, its verdict and summary
-    (run.json) and impedance.csv, as `trial` makes them. A recording, its exports and a run folder
-    say themselves what was rendered.
+    """Import a record of another system into a run folder with the record, its verdict and summary
+    (run.json) and impedance.csv, as `trial` writes them. Recordings, their exports and run folders
+    contain the rendered environment.
 
-    With --align OWN, the run folder or recording that hapticd made of the same trial (`trial live
-    --mark`), FILE is put on hapticd's samples: where it begins, how its clock runs, what it lost.
-    What was rendered, and the lost slots, are then those of OWN.
+    With --align OWN, the run folder or recording of the same trial by hapticd (`trial live
+    --mark`), FILE is aligned with hapticd's samples: its start, its clock and its gaps. The
+    rendered environment and the lost slots are then those of OWN.
     """
     asked = TrialOptions(
         source=str(source),

@@ -21,7 +21,9 @@ with deferred_imports():
 Stiffness = Annotated[
     common.Range,
     typer.Option(
-        "--stiffness", metavar="LOW HIGH N", help="Stiffness of the walls, N/m, evenly in ln K."
+        "--stiffness",
+        metavar="LOW HIGH N",
+        help="Stiffness of the walls, N/m, evenly spaced in ln K.",
     ),
 ]
 
@@ -32,21 +34,23 @@ def command(
     stiffness: Stiffness = (20.0, 3000.0, 18),
     viscous: Annotated[
         common.Range,
-        typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
+        typer.Option(
+            "--viscous", metavar="LOW HIGH N", help="Virtual damping of the walls, N s/m."
+        ),
     ] = (0.0, 8.0, 13),
     settle_s: Annotated[
-        float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")
+        float, typer.Option("--settle-s", metavar="S", help="Time allowed to come to rest.")
     ] = 1.5,
     still: Annotated[
-        float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
+        float, typer.Option("--still", metavar="M/S", help="Oscillation speed that counts as rest.")
     ] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B
-    plot of one device.
+    """Find how stiff a virtual wall may be at each virtual damping before an impact makes it
+    oscillate: the K-B plot of one device.
     """
     terminal.need_engine(plot)
     stiffnesses, dampings = _grid(stiffness, viscous)

@@ -75,7 +75,7 @@ export class Leases {
   click(ask) {
     const what = get("lease-what").value;
     const held = this.leases[what];
-    if (this.mine(held)) ask("lease", { what, action: "release" }, `${what} is anyone's to change`);
+    if (this.mine(held)) ask("lease", { what, action: "release" }, `${what} may be changed by any client`);
     else ask("lease", held ? { what, take_over: true } : { what }, `${what} is this page's alone`);
   }
 

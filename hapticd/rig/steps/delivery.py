@@ -72,7 +72,7 @@ RAW = (
     "winding_c",
 )
 AUDIT_S = 6.0
-LOW = 0.8  # of the commanded value
+LOW = 0.8  # of the command
 HIGH = 1.2
 SETTLED = 1  # pieces until hand and damping have settled
 TRIM_S = 20.0
@@ -119,7 +119,7 @@ def _unknown_ampere(device: Mapping[str, Any]) -> Finding | None:
     if device["motor_n_per_a"]:
         return None
     return Finding(
-        "the device file does not say the force of an ampere",
+        "the device file has no force per ampere",
         "not done",
         "`hapticd rig motor --winding` measures it where the board reports its current",
     )
@@ -133,7 +133,7 @@ def record_hand_motion(
     """
     pieces: list[Records] = []
     with rendering(bench, SPRING, RAMP_S):
-        words = f"move the handle to and fro by some mm, some times a second, for {seconds:g} s"
+        words = f"move the handle back and forth, a few mm at a few Hz, for {seconds:g} s"
         ask(Request("shake", f"from now on: {words}", seconds))
         for _ in range(round(seconds / PIECE_S)):
             pieces.append(collect(bench, PIECE_S).records)
@@ -196,7 +196,7 @@ def _force(means: Means, servo: ServoParams) -> StepResult:
     share = float(found.values[0])
     half = hypot(float(found.halves[0]), CALIBRATION * share)
     value = Value.around("delivered force", share, "of what is commanded", half)
-    return _delivered(f"force: {share:.3g} of what is commanded, by the current", value)
+    return _delivered(f"force: {share:.3g} of the command, by the current", value)
 
 
 def _delivered(what: str, value: Value, commanded: float = 1.0) -> StepResult:
@@ -243,7 +243,7 @@ def measure_residual(
     recorded = StepResult("trim", arrays=raw_of(pieces))
     if not found:
         what = "residual back-EMF: the handle hardly moved"
-        remedy = "move the handle to and fro, and repeat"
+        remedy = "move the handle back and forth, and repeat"
         return recorded + StepResult("trim", findings=[Finding(what, "not done", remedy)])
     return recorded + _last(found[-1], float(device["motor_n_per_a"]) ** 2, top_ns_per_m)
 

@@ -135,7 +135,7 @@ def analyse(
     at_rest = checked(
         f"{np.ptp(rest):g} counts peak to peak at rest",
         bool(np.ptp(rest) <= QUIET_COUNTS),
-        "let go of it and keep the table still; else look at shield and supply of the encoder",
+        "let go of it and keep the table still; otherwise check shield and supply of the encoder",
     )
     findings = [at_rest, _moving(moving, went), _steps(steps, went)]
     if not settled(findings):
@@ -212,9 +212,9 @@ def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding
     ratio = scale.value / m_per_count
     if not 1.0 / MOST_CORRECTION <= ratio <= MOST_CORRECTION:
         return Finding(
-            f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says",
+            f"{scale.value:.4g} m per count is {ratio:.3g} times the value in the device file",
             "refused",
-            f"is the distance {distance.metres:g} m right, in metres? Else correct the file",
+            f"is the distance {distance.metres:g} m right, in metres? If so, correct the file",
         )
     half = scale.half / scale.value
     return checked(

@@ -182,7 +182,7 @@ def parting(path: CommandPath, found: Balance) -> Finding:
     """State how the lag is divided into delay and smoothing."""
     variances = found.covariance("lag_us", "lag_us") * found.covariance("spread_us2", "spread_us2")
     together = found.covariance("lag_us", "spread_us2") / sqrt(variances)
-    parted = "no smoothing is told from delay, the lag is written as delay"
+    parted = "smoothing and delay cannot be separated; the lag is written as delay"
     if path.smoothing.value:
         parted = f"it is smoothed by {path.smoothing.value:.4g} us"
     return Finding(

@@ -61,8 +61,8 @@ RARE = 1e-3  # share of bad ticks that remains imperceptible
 WITHOUT = {
     Capability.PROBE: "perturbation and impedance need a DAQ of your own",
     Capability.INTERVAL_MEAN: "pairs are instants: their skew is corrected, but not for free",
-    Capability.TEMPERATURE: "nobody sees the winding overheat: keep limits.force_n low",
-    Capability.EMERGENCY_STOP: "a pressed stop is not told: the servo finds out by missing force",
+    Capability.TEMPERATURE: "an overheated winding stays unnoticed: keep limits.force_n low",
+    Capability.EMERGENCY_STOP: "a pressed stop is inferred from missing force, not reported",
     Capability.AMPLIFIER_READY: "an amplifier that is off looks like a motor without authority",
     Capability.SAMPLE_PHASE: "the delay cannot be made as short as the bus allows",
 }
@@ -72,7 +72,7 @@ USEFUL = {
     Capability.EVENT: "no event code of an EEG or eye tracker comes into the recording",
 }
 REMEDIES = {
-    "missing_in": "look at cable and hub, and at what else shares the bus",
+    "missing_in": "check cable, hub and the other devices on the bus",
     "bad_in": "a damaged or short frame: look at cable and shield, and at the firmware's CRC",
     "empty_in": "the firmware sends packets of zero length: send IN only when it is whole",
     "stale_in": "frames come twice: the firmware has to send each sample once",

@@ -206,7 +206,7 @@ def _sign(agree: set[bool]) -> Finding:
     return Finding(
         "it goes the same way whatever the force is",
         "refused",
-        "something else moves it: let go of it, lay the axis level, and repeat",
+        "another force moves it: let go of it, level the axis, and repeat",
     )
 
 

@@ -193,7 +193,7 @@ def _scales(
     torque = force_gain(fit, attached, half)
     velocity = Gain(1.0 / of_velocity.counts, hypot(of_velocity.relative_half, half))
     gains = {"probe_torque": torque, "probe_velocity": velocity}
-    remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+    remedy = "check that the mass is in kg and attached; if so, correct the full scale in the file"
     findings = [
         *_weighed(fit),
         *(plausible(name, one.per_count, device[name], remedy) for name, one in gains.items()),

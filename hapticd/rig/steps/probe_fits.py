@@ -219,7 +219,7 @@ class Phase:
                 f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a"
                 " sample",
                 abs(share) <= MOST_SKEW,
-                "sample both together; until then live trials take it out, as the device file says",
+                "sample both together; until then, live trials correct for it by the device file",
             ),
             checked(
                 f"unequal high-passes look like {mismatch.value:.3g} N s/m on a spring of"

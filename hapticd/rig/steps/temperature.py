@@ -84,7 +84,7 @@ def measure(
     at_rest = analyse(np.array(readings), stated, device)
     if not with_shake or not at_rest.settled:  # a refused result needs no shaken handle
         return at_rest
-    text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
+    text = f"from now on, for {SHAKE_S:g} s: move the handle back and forth quickly by a few mm"
     ask(Request("shake", text, SHAKE_S))
     return at_rest + analyse_back_emf(collect(bench, SHAKE_S).records, device)
 
@@ -119,7 +119,7 @@ def analyse(readings: Floats, stated: KnownTemperatures, device: Mapping[str, An
     steady = checked(
         f"it drifts by {drift.value:.2g} K/min",
         max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN,
-        "wait until the winding is as warm as what is around it",
+        "wait until the winding has the temperature of its surroundings",
     )
     findings = [_living(readings), steady]
     values = [deviation("temperature noise", per_count * readings[-1], "K rms"), drift]
@@ -184,9 +184,9 @@ def _plausible(
     ratio = slopes[0] / float(scale["per_count"]) if slopes else 1.0
     if not 1.0 / FACTOR <= ratio <= FACTOR:
         return Finding(
-            f"a count is {ratio:.3g} of what the device file says",
+            f"a count is {ratio:.3g} of the value in the device file",
             "refused",
-            "are both temperatures in degC, and was the sensor as warm? Else correct the file",
+            "check that both are in degC and those of the sensor; if so, correct the file",
         )
     if abs(away_c) > FAR_OFF_C and not slopes:
         return Finding(

@@ -86,7 +86,7 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
         start_m = float(collect(bench, READ_S).records["position_m"].mean())
         forces = [side * level * most_n for side in (1.0, -1.0) for level in LEVELS]
         rests = np.array([_rest(bench, force, start_m) for force in forces])
-    text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
+    text = f"move the handle back and forth by a few mm for {SHAKE_S:g} s from now"
     ask(Request("shake", text, SHAKE_S))
     shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
@@ -186,7 +186,7 @@ def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[
         yield Finding(
             f"the handle was moved with {1e3 * speed:.2g} mm/s rms",
             "refused",
-            "move it faster, by some mm to and fro",
+            "move it faster, back and forth by a few mm",
         )
 
 
@@ -266,6 +266,6 @@ def _followed(counts: Floats, speed: Floats, per_speed: float) -> Finding:
     return checked(
         what,
         share >= LEAST_COHERENT,
-        "it is no velocity: look at what is connected, and at the resistance compensation",
+        "it is not a velocity: check the connections and the resistance compensation",
         "refused",
     )

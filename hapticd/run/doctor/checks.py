@@ -47,7 +47,7 @@ NO_RIGHTS = (
 )
 BEHIND_HUB = (
     "a high-speed hub delays each transfer of a full-speed board by one or two microframes of"
-    " 125 us each way, and shares its bus with what else is plugged in"
+    " 125 us each way, and shares its bus with other devices"
 )
 UDEV = "sudo udevadm control --reload && sudo udevadm trigger"
 RIGHTS = (  # rights of this user to scheduling and memory
@@ -173,7 +173,7 @@ KERNEL = (  # timekeeping, scheduling, interrupts and swap
         "RT groups",
         probes.rt_group,
         FAIL,
-        "SCHED_FIFO is refused in it, whatever the limits say",
+        "SCHED_FIFO is refused in it, whatever the limits are",
     ),
     Check(
         "swap",
@@ -220,9 +220,9 @@ FOLDERS = (  # the daemon's report and folders: disk, and access by other users
         "runtime folder",
         probes.runtime_folder,
         FAIL,
-        "whoever reaches its sockets commands a motor",
+        "any process that reaches its sockets commands a motor",
     ),
-    Check("keys", probes.keys, FAIL, "whoever has the key can pose as its owner"),
+    Check("keys", probes.keys, FAIL, "anyone with the key can pose as its owner"),
 )
 INTERPRETER = Check(  # how it was built
     "interpreter",

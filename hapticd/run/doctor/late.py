@@ -17,11 +17,11 @@ RARE = 1e-4  # share of the ticks; typical limit of a quiet computer without iso
 ABOVE = "see the lines above: rtprio limit, governor, C-state latency, isolation"
 OWN = "the servo's own work takes too long; see the interpreter above, or lower realtime.rate_hz"
 ADVICE = {  # causes of late ticks, and remedies
-    LateCause.WAKE: ("something else had the servo's core when the tick was due", ABOVE),
+    LateCause.WAKE: ("another process occupied the servo's core when the tick was due", ABOVE),
     LateCause.SUBMISSION: ("the kernel took the transfers late", ABOVE),
     LateCause.BUS: (
         "the board got its frame late, or sent none",
-        "use a root port, and look what else is on the board's bus",
+        "use a root port, and check the other devices on the board's bus",
     ),
     LateCause.COMPLETION: (
         "the frame was there in time; the interrupt or the wake-up after it was late",

@@ -95,7 +95,7 @@ def c_states(machine: Machine, asked: Requirements) -> str | Flaw:
     if path.exists() and machine.may_write(path):
         return f"/{DMA_LATENCY} may be written"
     if path.exists():
-        return Flaw(f"/{DMA_LATENCY} may not be written")
+        return Flaw(f"/{DMA_LATENCY} is not writable")
     driver = machine.text("sys/devices/system/cpu/cpuidle/current_driver") or "none"
     if driver in ("none", "haltpoll"):
         return f"no deep sleep to forbid (cpuidle driver {driver})"

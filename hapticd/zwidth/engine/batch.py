@@ -1,16 +1,16 @@
-"""A batch of trials of one scene: `simulate`, what it gives back, and how its tasks are run.
+"""A batch of trials of one scene: `simulate`, its result, and the execution of its tasks.
 
 A batch is cut into tasks of some groups of lanes each, which run on threads of this process or on
-any executor; a task plays its groups one after the other from start to end (`run_chunk`). A batch
-uses the cores of its process, or fewer where `at_most` says so: a pool that runs many tasks at once
-gives each its share. A result holds sums, spectra or records, and never a NaN.
+any executor. A task plays its groups one after the other from start to end (`run_chunk`). A batch
+uses the cores of its process, or fewer with `at_most`: a pool that runs many tasks at once gives
+each its share. A result holds sums, spectra or records, and never a NaN.
 
-What is random of a trial alone is drawn by what the trial is: by its K, B and M, or by its place
-in the batch where each has a torque record of its own. So one that is simulated alone, again, or
-among others is the same trial.
+Random numbers of a single trial depend on its K, B and M, or on its position in the batch if each
+has a torque record of its own. A trial simulated alone, again, or among others is therefore the
+same.
 
-Seeds and records must not depend on the task that a trial falls into (results would then depend on
-the number of cores).
+Seeds and records must not depend on the task of a trial (results would then depend on the number of
+cores).
 """
 
 import os
@@ -56,18 +56,17 @@ __all__ = ["BatchResult", "simulate"]
 class BatchResult:
     """n trials of `ticks` servo ticks at 4 kHz. The caller owns the arrays.
 
-    A trial whose speed passed 1,000 m/s (rms over a tick), or was no number, has diverged: its sums
-    and records end before that tick, `samples` says where, and what follows in its row of a record
-    is 0.
+    A trial whose speed passed 1,000 m/s (rms over a tick), or was not a number, has diverged: its
+    sums and records end before that tick, at `samples`, and the rest of its row of a record is 0.
     """
 
     params: Values  # (n, 3): stiffness N/m, damping Ns/m, mass kg
     sigma_v_m_per_s: Values  # (n,) rms of the recorded velocity
     max_force_n: Values  # (n,) largest command
     work_j: Values  # (n,) work of the perturbation on the device
-    # (n,) lowest value of that work at the end of a tick: below 0 the device has given energy away
+    # (n,) minimum of that work at the end of a tick: below 0 the device has delivered energy
     min_energy_j: Values
-    samples: npt.NDArray[np.int64]  # (n,) that count
+    samples: npt.NDArray[np.int64]  # (n,) valid samples
     rate_hz: float  # of the records
     seconds: float  # length of a trial that does not diverge
     # (n,) share of its ticks in which the amplifier was at a limit, where it has limits
@@ -78,11 +77,11 @@ class BatchResult:
     velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
     cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
     section_rms_m_per_s: Values | None = None  # (n, sections) of 2,048 samples
-    # (samples,) if all trials share it, else (n, samples): interval means
+    # (samples,) if all trials share it, otherwise (n, samples): interval means
     torque_n: Values | None = None
     velocity_m_per_s: Values | None = None  # (n, samples), interval means
-    position_m: Values | None = None  # (n, ticks) as the law saw it
-    force_n: Values | None = None  # (n, ticks) as it was commanded
+    position_m: Values | None = None  # (n, ticks) at the input of the law
+    force_n: Values | None = None  # (n, ticks) commanded
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
@@ -95,7 +94,7 @@ class BatchResult:
         return np.where(self.diverged, self.samples / self.rate_hz, np.inf)
 
     def record(self, trial: int) -> tuple[Values, Values]:
-        """(torque, velocity) of one trial up to its end. ValueError if records were not kept."""
+        """Return (torque, velocity) of one trial up to its end. ValueError if not kept."""
         if self.torque_n is None or self.velocity_m_per_s is None:
             raise ValueError("only sums were kept; simulate with keep='records'")
         end = int(self.samples[trial])
@@ -103,7 +102,7 @@ class BatchResult:
         return torque[:end], self.velocity_m_per_s[trial, :end]
 
     def traces(self, trial: int) -> tuple[Floats, Floats]:
-        """(position, command) float64 of one trial at each tick up to its end. ValueError if
+        """Return (position, command) float64 of one trial at each tick up to its end. ValueError if
         they were not kept.
         """
         if self.position_m is None or self.force_n is None:
@@ -114,8 +113,8 @@ class BatchResult:
         )
 
     def spectra(self, trial: int) -> Spectra:
-        """Of one trial, as `spa` gives them of its record. ValueError if they were not kept, or
-        it diverged.
+        """Return the spectra of one trial, as `spa` gives them for its record. ValueError if they
+        were not kept, or it diverged.
         """
         if (
             self.force_spectrum is None
@@ -145,7 +144,7 @@ SHARED = ("rate_hz", "seconds")  # fields that are the same for all parts of a b
 
 
 def joined(parts: list[BatchResult]) -> BatchResult:
-    """One result from the parts of a batch, in order."""
+    """Join the parts of a batch, in order."""
 
     def together(name: str) -> Any:
         values = [getattr(part, name) for part in parts]
@@ -161,14 +160,14 @@ _granted: ContextVar[int | None] = ContextVar("granted", default=None)
 
 
 def workers() -> int:
-    """Cores that a batch which is begun here may use."""
+    """Return the number of cores that a batch started here may use."""
     free = len(os.sched_getaffinity(0))
     return min(free, _granted.get() or free)
 
 
 @contextmanager
 def at_most(cores: int) -> Iterator[None]:
-    """Batches begun inside, on this thread, use no more cores than these."""
+    """Limit batches started inside, on this thread, to this number of cores."""
     before = _granted.set(cores)
     try:
         yield
@@ -178,8 +177,8 @@ def at_most(cores: int) -> Iterator[None]:
 
 TICKS_MAX = 1e12
 SEEDS = 1 << 63
-REMOTE_GROUPS = 4  # groups of lanes in a task of another executor, which costs more to hand over
-# what a scene says that a model does not: a trial of the paper (Weir, Colgate and Peshkin 2008)
+REMOTE_GROUPS = 4  # groups of lanes in a task of another executor, whose transfer costs more
+# values of a scene that a model lacks: a trial of the paper (Weir, Colgate and Peshkin 2008)
 OF_A_MODEL = Scene("", "", "", (), excitation=Excitation("noise"), seconds=90.0)
 
 
@@ -201,11 +200,12 @@ def simulate(
     executor: Executor | None = None,
     chunk: int | None = None,
 ) -> BatchResult:
-    """Simulate n trials of `scene`, a scene or a composed model, that differ in what is rendered.
+    """Simulate n trials of `scene`, a scene or a composed model, that differ in the rendered
+    environment.
 
     params       (n, 3) stiffness [N/m], damping [Ns/m], mass [kg]
     seconds      length of a trial
-    seed         of everything random
+    seed         of all random numbers
     active_damping  active damping [Ns/m], or steps (time s, level)
     environment  filters, wall and soft ends of the law; its K, B, M are not used
     filters      of velocity and acceleration in place of those; None for raw differences
@@ -217,18 +217,18 @@ def simulate(
     dtype        "f64" | "f32"
     keep         "summary" | "spectra" as `signal.spectra` | "records" at 4 kHz |
                  "ticks": also position and force of every tick
-    own_torque   a record of its own for every trial instead of a shared one, and noise of the probe
-                 by its place among them; otherwise by its K, B and M
+    own_torque   a record of its own for every trial instead of a shared one, with noise of the
+                 probe by its position; otherwise by its K, B and M
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
 
-    Where records or ticks are kept, 16 trials are simulated at once (f32; 8 in f64), elsewhere 64
+    If records or ticks are kept, 16 trials are simulated at once (f32; 8 in f64), otherwise 64
     (32).
 
-    What is None is the scene's; for a model: 90 s, seed 1, no damping, the paper's filters, noise
-    of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
-    executor and chunk, and a trial the same bytes whatever is simulated with it, unless each has a
-    torque of its own. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
+    None means the value of the scene; for a model: 90 s, seed 1, no damping, the paper's filters,
+    noise of 2.5e-5 N^2/Hz up to 1.7 kHz, at rest at 0. The same call gives the same bytes for any
+    executor and chunk. A trial gives the same bytes whatever is simulated with it, unless each has
+    a torque of its own. ConfigError for arguments out of range, a rate that does not divide 4 kHz,
     or without numba.
     """
     trials = _checked(params)
@@ -249,7 +249,7 @@ def simulate(
     )
     if chunk is not None and chunk < 1:
         raise ConfigError(f"{chunk} trials in a task: must be 1 or more, or None")
-    made = prepared(job)  # compiles once, before there are threads that would wait for it
+    made = prepared(job)  # compiles once, before any thread waits for it
     size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
     firsts = range(0, len(trials), size)
     parts = [trials[first : first + size] for first in firsts]
@@ -282,7 +282,7 @@ def _job(
     some: bool,
     **rest: Any,
 ) -> Job:
-    """What all trials share; `some` of them have K, B or M."""
+    """Return the shared part of all trials; `some` of them have K, B or M."""
     given = scene if isinstance(scene, Scene) else OF_A_MODEL
     model = compose(scene) if isinstance(scene, Scene) else scene
     length_s = given.seconds if seconds is None else seconds
@@ -311,7 +311,7 @@ def _job(
         ticks=round(length_s * model.rate_hz),
         seed=number,
         keep=keep,
-        # there may be something to touch beside K, B and M
+        # walls and ends also need the law
         renders=bool(
             some or keep == "ticks" or rendered.wall.side or rendered.workspace.stiffness_n_per_m
         ),
@@ -343,13 +343,13 @@ def _checked(params: npt.ArrayLike) -> Array:
 
 
 def _number(trial: Array) -> int:
-    """Of 32 bits, by which a trial of this K, B, M (3,) draws what is random of it alone."""
+    """Return the 32-bit number that seeds the random numbers of a trial with this K, B, M (3,)."""
     same_zero = trial + 0.0  # -0 N/m is 0 N/m
     return int.from_bytes(blake2b(same_zero.tobytes(), digest_size=4).digest(), "little")
 
 
 def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
-    """Trials of these K, B, M (n, 3), each with the number by which it draws noise of its own."""
+    """Run trials of these K, B, M (n, 3), each with the number that seeds its own noise."""
     made = prepared(job)
     lanes = made.shape.lanes
     return joined(

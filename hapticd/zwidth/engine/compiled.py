@@ -1,19 +1,20 @@
-"""What kernels call, in numba: the one law, and a stack frame that begins on a cache line.
+"""The functions that kernels call, in numba: the one law, and a stack frame that begins on a cache
+line.
 
 The law is `render.law.render` itself, in double and in single precision. The code object is the
-servo's; only its literal numbers become numbers of the kernel's precision, so that a 0.0 does not
-drag single precision into double. Bit-identical to CPython on equal inputs, which needs
-`fastmath=False` said aloud: numba lets a callee without that word inherit the fastmath of the
-kernel that it is inlined into (measured: without it most forces differ in the last bit).
+servo's; only its literal numbers take the kernel's precision, so that a 0.0 does not promote single
+to double. It is bit-identical to CPython on equal inputs. This needs an explicit `fastmath=False`:
+otherwise numba lets a callee inherit the fastmath of the kernel that it is inlined into (measured:
+most forces then differ in the last bit).
 
-A kernel has more coefficients than there are vector registers; the rest lies on the stack and is
-read from there by every instruction that needs it. numba's functions keep the alignment of 16 bytes
-that they are called with, so three of four times such a read crosses a cache line and costs double
-(measured: 1.5 to 1.7 times the time of the whole kernel, by chance of the caller's depth). One
-variable that asks for 64 bytes makes LLVM align the frame. Results do not depend on it.
+A kernel has more coefficients than there are vector registers; the rest is on the stack, where
+every instruction that needs it reads it. numba's functions keep the 16-byte alignment of their
+call. Three of four times such a read then crosses a cache line and costs double (measured: 1.5 to
+1.7 times the time of the whole kernel, depending on the caller's depth). One variable with 64-byte
+alignment makes LLVM align the frame. Results do not depend on it.
 
-Imports numba and llvmlite: only kernels import this module, so that the rest is light to import.
-Every helper of the law must be in HELPERS (numba would otherwise not find it).
+The module imports numba and llvmlite, and only kernels import it, so that the rest is light to
+import. Every helper of the law must be in HELPERS (numba would otherwise not find it).
 """
 
 from types import FunctionType
@@ -31,7 +32,7 @@ HELPERS = (law.wall_force, law.end_force, law.clamp)
 
 
 def compiled_law(scalar: type[np.floating[Any]]) -> Any:
-    """`render` jitted in the precision of `scalar`, with its helpers."""
+    """Return `render` jitted in the precision of `scalar`, with its helpers."""
     helpers = {helper.__name__: _compiled(helper, scalar, {}) for helper in HELPERS}
     return _compiled(law.render, scalar, helpers)
 
@@ -53,7 +54,7 @@ law_f64 = compiled_law(np.float64)
 
 @intrinsic
 def begin_on_cache_line(typing_context: Any) -> Any:
-    """In a jitted function: align its frame."""
+    """Align the frame of the enclosing jitted function."""
     return types.void(), _code
 
 

@@ -1,31 +1,30 @@
-"""One task of a batch where it runs: what it carries, what drives its groups of lanes, and the
-state of a group.
+"""One task of a batch where it runs: its content, the inputs of its groups of lanes, and the state
+of a group.
 
-A Job is values that pickle and no records: a device, an environment and how to simulate them.
-Everything that a task needs and that is costly to make (reduced model, shape, kernel, torque
-record) is made where it runs and kept there (`prepared`, `shared_torque`), so that a task travels
-as parameters and seeds only.
+A Job consists of picklable values without records: a device, an environment and the settings of the
+simulation. The costly parts (reduced model, shape, kernel, torque record) are made where the task
+runs and cached there (`prepared`, `shared_torque`), so that only parameters and seeds are sent.
 
 Inputs drive a group leg by leg. A leg is a run of ticks with one level of active damping, inside
-one period of the torque record, no longer than a block (and, where a winding heats up, than its
-refresh; where spectra are kept, inside one section).
+one period of the torque record, and no longer than a block. With a winding that heats up it is no
+longer than its refresh; with spectra it stays inside one section.
 
 Group: the kernel tallies in its own precision within a block; blocks add up in double. A lane that
-diverged is parked: its state is zeroed after the leg, and its sums have stopped at that tick (see
+diverged is parked: its state is zeroed after the leg, and its sums stop at that tick (see
 `source`).
 
-Heating: where a winding warms up, the kernel's coefficients follow the temperature of every lane.
+Heating: if a winding warms up, the kernel's coefficients follow the temperature of every lane.
 
     T' = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau        integrated exactly over each refresh,
                                                               its heat held
 
 The heat is the mean over the refresh of the motor force squared (summed by the kernel). Temperature
-moves with tau, tens of seconds, so coefficients are refreshed every 0.1 s. They are exact maps on a
-grid of temperatures and interpolated between its nodes; at 0.5 K the neglected curvature is below
+changes with tau, tens of seconds, so coefficients are refreshed every 0.1 s. They are exact maps on
+a grid of temperatures, interpolated between its nodes; at 0.5 K the neglected curvature is below
 1e-6 of a coefficient.
 
-Every field of a Job must pickle. Limitations: a time constant of a winding that is not long against
-the refresh.
+Every field of a Job must pickle. Limitations: a time constant of a winding that is not long
+compared with the refresh.
 """
 
 from collections.abc import Iterator, Sequence
@@ -53,13 +52,13 @@ from hapticd.zwidth.engine.numbers import Filters, law_numbers, plant_numbers
 from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
 from hapticd.zwidth.engine.source import LAW_STATE, SCALARS
 
-CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
+CACHED = 4  # cached jobs and records: enough for a comparison
 KEEPS = ("summary", "spectra", "records", "ticks")
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """See `batch.simulate` for what each means."""
+    """The arguments of a simulation; see `batch.simulate`."""
 
     model: Model
     environment: Environment  # wall and ends; its K, B, M are not used
@@ -78,7 +77,7 @@ class Job:
 
     @property
     def samples(self) -> int:
-        """At 4 kHz, of a trial."""
+        """Samples of a trial at 4 kHz."""
         return round(self.ticks * PROBE_RATE_HZ / self.model.rate_hz)
 
 
@@ -97,7 +96,7 @@ class Prepared:
     _numbers: dict[float, dict[str, float]] = field(default_factory=dict)
 
     def numbers(self, level_ns_per_m: float) -> dict[str, float]:
-        """Coefficients at that active damping, made once."""
+        """Return the coefficients at that active damping, cached."""
         if level_ns_per_m not in self._numbers:
             self._numbers[level_ns_per_m] = plant_numbers(self.model, self.shape, level_ns_per_m)
         return self._numbers[level_ns_per_m]
@@ -105,7 +104,7 @@ class Prepared:
 
 @lru_cache(maxsize=CACHED)
 def prepared(job: Job) -> Prepared:
-    """The kernel and what feeds it, made once per job. ConfigError as `shape_of` and `kernel`."""
+    """Return the kernel and its inputs, cached per job. ConfigError as `shape_of` and `kernel`."""
     damped = any(step.level_ns_per_m != 0.0 for step in job.active_damping)
     model, coordinates = reduced(job.model, damped)
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
@@ -122,7 +121,7 @@ def prepared(job: Job) -> Prepared:
 
 
 def shared_torque(job: Job) -> Array:
-    """The record that all trials get, or one period of it."""
+    """Return the record of all trials, or one period of it."""
     if isinstance(job.excitation, np.ndarray):
         return rounded(job.excitation, job.model.torque_quantum_n)
     return drawn(job.excitation, job.samples, job.seed, job.model.torque_quantum_n)
@@ -130,12 +129,12 @@ def shared_torque(job: Job) -> Array:
 
 @lru_cache(maxsize=CACHED)
 def drawn(excitation: Excitation, samples: int, seed: int, quantum_n: float | None) -> Array:
-    """Made once for all jobs that ask for it."""
+    """Return the record, cached for all jobs that request it."""
     return rounded(torque_record(excitation, samples, seed, Stream.SHARED), quantum_n)
 
 
 def played(record: Array, samples: int, scalar: type[np.floating[Any]]) -> Values:
-    """A shared record, or its period, as the kernel plays it from the first sample to the last."""
+    """Return a shared record, or its period, as the kernel plays it from start to end."""
     return np.resize(record.astype(scalar), samples)
 
 
@@ -149,7 +148,7 @@ def own_torque(job: Job, trial: int) -> Array:
 
 
 def estimate_noise(job: Job) -> Array:
-    """Noise of the velocity estimate, shared by all trials; one zero if there is none."""
+    """Return noise of the velocity estimate, shared by all trials; one zero if there is none."""
     noise = job.model.noise
     if noise is None or not noise.estimate_psd:
         return np.zeros(1)
@@ -160,7 +159,7 @@ Quantity = TypeVar("Quantity", float, Array, Values)
 
 
 def rounded(values: Quantity, quantum: float | None) -> Quantity:
-    """Values as a converter of that quantum gives them, halves upwards; as they are for None."""
+    """Round values as a converter of that quantum does, halves upwards; None: no rounding."""
     if quantum is None:
         return values
     counted: Quantity = np.floor(values / quantum + 0.5) * quantum
@@ -175,7 +174,7 @@ BODIES = {
 
 
 # rows that are sums: squares of the recorded velocity [(m/s)^2], work of the perturbation [N m/s],
-# ticks that count, and those in which the amplifier was at a limit
+# valid ticks, and those with the amplifier at a limit
 SUMMED = ("SPEED2", "WORK", "TICKS", "LIMITED")
 
 
@@ -202,13 +201,11 @@ class Group:
         self._start(job)
 
     def damp(self, level_ns_per_m: float) -> None:
-        """Coefficients for this active damping from now on."""
+        """Set the coefficients for this active damping."""
         self.set(self.made.numbers(level_ns_per_m))
 
     def set(self, numbers: dict[str, Any]) -> None:
-        """Fill the coefficients that the kernel has; where they are rows, with one value for
-        all lanes or one each.
-        """
+        """Fill the coefficients of the kernel; rows get one value for all lanes or one each."""
         for name in numbers.keys() & self.rows.keys():
             self.rows[name][:] = numbers[name]
         for place, name in enumerate(self.made.kernel.COEFFICIENTS):
@@ -216,7 +213,7 @@ class Group:
                 self.coefficients[place] = numbers[name]
 
     def play(self, torque: Values, noise: Values, out: Values, ticks: int, keep: bool) -> None:
-        """Advance by `ticks`; `out` gets what each tick leaves if it is to `keep` it."""
+        """Advance by `ticks`; with `keep`, `out` receives the output of each tick."""
         if self._untallied + ticks > BLOCK_TICKS:
             self.tallied()
         self.made.kernel.run(self.state, self.coefficients, torque, noise, out, ticks, int(keep))
@@ -226,8 +223,8 @@ class Group:
             self._park(alive == 0.0)
 
     def tallied(self) -> dict[str, Array]:
-        """Sums up to now of each lane, (lanes,) float64, by `SUMMED`; LOWEST is the lowest value of
-        WORK so far. The group goes on adding to them.
+        """Return the sums of each lane so far, (lanes,) float64, by `SUMMED`; LOWEST is the minimum
+        of WORK so far. The group continues to add to them.
         """
         sums = self._sums
         sums["LOWEST"] = np.minimum(sums["LOWEST"], sums["WORK"] + self.rows["LOWEST"])
@@ -247,7 +244,7 @@ class Group:
             self.rows[name][lanes] = 0.0
 
     def _start(self, job: Job) -> None:
-        """All bodies together at the start position and velocity, the law at rest there."""
+        """Place all bodies at the start position and velocity, the law at rest there."""
         bodies = {"position": job.start_position_m, "velocity": job.start_velocity_m_per_s}
         states = [
             state.name.rpartition("_")[2] if state.name in BODIES else ""
@@ -258,7 +255,7 @@ class Group:
             self.rows[f"X{index}"][:] = value
         if not job.renders:
             return
-        # L0 is the law's last position: what its encoder shows
+        # L0 is the law's last position, the encoder's reading
         self.rows["L0"][:] = rounded(job.start_position_m, job.model.encoder_quantum_m)
 
 
@@ -279,7 +276,7 @@ class Heating:
         self._nodes: dict[tuple[int, float], dict[str, float]] = {}
 
     def damp(self, level_ns_per_m: float) -> None:
-        """Coefficients for this active damping and the present temperatures."""
+        """Set the coefficients for this active damping and the present temperatures."""
         self._level_ns_per_m = level_ns_per_m
         lower = np.floor(self.temperature_c / GRID_K).astype(int)
         part = self.temperature_c / GRID_K - lower
@@ -288,7 +285,7 @@ class Heating:
         self._group.set({name: low[name] + part * (high[name] - low[name]) for name in low})
 
     def warm(self, seconds: float, samples: int) -> None:
-        """After `seconds` in which the kernel summed the motor force squared over `samples`."""
+        """Advance by `seconds`, with the motor force squared summed over `samples`."""
         winding = self._winding
         heat = self._group.rows["HEAT"]
         resistance_ohm = np.array([self._ohm(float(celsius)) for celsius in self.temperature_c])
@@ -305,12 +302,12 @@ class Heating:
         return copper_ohm(self._winding.resistance_ohm, self._winding.reference_c, celsius)
 
     def _nodes_at(self, indices: "np.ndarray[Any, np.dtype[np.int_]]") -> dict[str, Array]:
-        """Coefficients of every lane at nodes of the grid of temperatures."""
+        """Return the coefficients of every lane at nodes of the grid of temperatures."""
         nodes = [self._node(int(index)) for index in indices]
         return {name: np.array([node[name] for node in nodes]) for name in nodes[0]}
 
     def _node(self, index: int) -> dict[str, float]:
-        """Coefficients at `index` GRID_K degrees Celsius."""
+        """Return the coefficients at `index` GRID_K degrees Celsius."""
         key = index, self._level_ns_per_m
         if key not in self._nodes:
             made = self._group.made
@@ -324,13 +321,13 @@ class Heating:
         return self._nodes[key]
 
 
-# --- what drives a group --------------------------------------------------------------------------
+# --- inputs of a group ----------------------------------------------------------------------------
 
 BLOCK_TICKS = 8192  # in a call of a kernel, and between two tallies, at most
 
 
 class Inputs:
-    """Torque and noise in the kernel's layout. A record that is shorter than the trial repeats."""
+    """Torque and noise in the kernel's layout. A record shorter than the trial repeats."""
 
     def __init__(self, job: Job, made: Prepared, numbers: Sequence[int]) -> None:
         self._samples = made.shape.samples
@@ -340,16 +337,16 @@ class Inputs:
         self._borders = _borders(job, made, len(self._torque) // self._samples)
 
     def legs(self) -> Iterator[tuple[int, int]]:
-        """(first tick, tick after the last) of every leg."""
+        """Yield (first tick, tick after the last) of every leg."""
         return pairwise(self._borders)
 
     def torque(self, start: int, end: int) -> Values:
-        """For the ticks of a leg, flat."""
+        """Return the torque of the ticks of a leg, flat."""
         begin = start * self._samples % len(self._torque)
         return self._torque[begin : begin + (end - start) * self._samples].reshape(-1)
 
     def noise(self, start: int, end: int) -> Values:
-        """For the ticks of a leg; one zero if there is none."""
+        """Return the noise of the ticks of a leg; one zero if there is none."""
         return (
             self._noise
             if len(self._noise) == 1
@@ -357,12 +354,12 @@ class Inputs:
         )
 
     def rows(self, count: int, total: int) -> Values:
-        """The records of the trials, (count, total)."""
+        """Return the records of the trials, (count, total)."""
         return np.resize(self._torque, (total, self._lanes)).T[:count].copy()
 
 
 def level_at(job: Job, tick: int) -> float:
-    """Active damping [Ns/m] that acts from `tick` on, as its DAC gives it."""
+    """Return the active damping [Ns/m] in effect from `tick` on, as its DAC gives it."""
     asked = [
         step.level_ns_per_m
         for step in job.active_damping
@@ -373,12 +370,12 @@ def level_at(job: Job, tick: int) -> float:
 
 @lru_cache(maxsize=2)
 def _shared(job: Job, made: Prepared) -> Values:
-    """(period, 1)"""
+    """Return the shared torque, (period, 1)."""
     return _repeated(shared_torque(job).astype(made.scalar)[:, None], job, made)
 
 
 def _own(job: Job, made: Prepared, numbers: Sequence[int]) -> Values:
-    """(period, lanes)"""
+    """Return the torque of each lane, (period, lanes)."""
     rows = np.array([own_torque(job, number) for number in numbers])
     record = np.zeros((rows.shape[1], made.shape.lanes), made.scalar)
     record[:, : len(rows)] = rows.T
@@ -386,9 +383,7 @@ def _own(job: Job, made: Prepared, numbers: Sequence[int]) -> Values:
 
 
 def _repeated(record: Values, job: Job, made: Prepared) -> Values:
-    """The record until it repeats: after whole ticks, and at least a block unless the trial is
-    shorter.
-    """
+    """Repeat the record to whole ticks, and to at least a block unless the trial is shorter."""
     whole = lcm(len(record), made.shape.samples)
     period = min(job.samples, whole * -(-BLOCK_TICKS * made.shape.samples // whole))
     return record if len(record) == period else np.resize(record, (period, record.shape[1]))

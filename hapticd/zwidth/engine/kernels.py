@@ -2,9 +2,9 @@
 of a second.
 
 Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there,
-found through sys.path, because that is what numba's own disk cache needs to find compiled code
-again; HASH covers the text and the law it calls. `_called` must read every file that kernels are
-compiled from (an old kernel would otherwise be found again).
+imported through sys.path, because numba's own disk cache requires this to find compiled code again.
+HASH covers the text and the law it calls. `_called` must read every file that kernels are compiled
+from (an old kernel would otherwise be loaded again).
 """
 
 import hashlib
@@ -26,8 +26,8 @@ from hapticd.zwidth.engine.source import kernel_source
 
 @cache
 def kernel(shape: Shape) -> ModuleType:
-    """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a
-    folder to write to.
+    """Return the module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a
+    writable folder.
     """
     need("numba", "the batch engine")
     text = kernel_source(shape)
@@ -51,20 +51,20 @@ def kernel(shape: Shape) -> ModuleType:
 
 
 def cache_folder() -> Path:
-    """Where kernels are kept."""
+    """Return the folder of the kernels."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "hapticd" / f"kernels-{__version__}"
 
 
 @cache
 def _called() -> bytes:
-    """What a kernel is compiled from beside its text."""
+    """Return the other sources of a kernel besides its text."""
     paths = (Path(law.__file__), Path(__file__).with_name("compiled.py"))
     return b"".join(path.read_bytes() for path in paths)
 
 
 def _write(path: Path, text: str) -> None:
-    """Whole or not at all: other processes and threads may be writing the same kernel."""
+    """Write atomically: other processes and threads may be writing the same kernel."""
     fresh = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
     fresh.write_text(text)
     fresh.replace(path)

@@ -1,8 +1,8 @@
 """The coefficients of a kernel: a model at a level of active damping, an environment and trials
 become numbers by the names that the text uses (`source`).
 
-Every map is exact (`model.discrete`). The kernel picks what it has by name. A name here that the
-text does not use is ignored; one that it uses and that is missing here stays 0.
+Every map is exact (`model.discrete`). The kernel selects its coefficients by name. A name here that
+the text does not use is ignored; a name that the text uses and that is missing here stays 0.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str, float]:
-    """Everything that depends on the plant, at this active damping."""
+    """Return all numbers that depend on the plant, at this active damping."""
     duration_s = 1.0 / (PROBE_RATE_HZ * shape.substeps)
     whole = discretise(model, duration_s, level_ns_per_m)
     numbers = dict(_map_rows(model, whole))
@@ -41,7 +41,7 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
 
 
 def law_numbers(environment: Environment, filters: Filters, rate_hz: float) -> dict[str, float]:
-    """What the law gets beside K, B, M and the limit."""
+    """Return the inputs of the law other than K, B, M and the limit."""
     wall = environment.wall
     ends = environment.workspace
     values = (
@@ -55,7 +55,7 @@ def law_numbers(environment: Environment, filters: Filters, rate_hz: float) -> d
 
 
 def _derivative(filtered: FilterParams | None, rate_hz: float, gain: float) -> Biquad:
-    """From differences to a derivative, through a filter or none."""
+    """Return the filter from differences to a derivative, with gain only for None."""
     through = filtered and design(
         filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz
     )
@@ -77,8 +77,8 @@ def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
 
 
 def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
-    """Of each contact, per m/s that it takes from its own body: H what it does to states, LEVEL
-    the most it takes.
+    """Yield for each contact, per m/s that it takes from its own body: H, its effect on the states,
+    and LEVEL, its maximum.
     """
     contacts = model.contacts
     own = _own_responses(model, whole)
@@ -93,7 +93,7 @@ def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
 
 
 def _own_responses(model: Model, whole: Map) -> Array:
-    """m/s (contacts,) that a newton on each contact gives to its own body over `whole`."""
+    """Return the m/s (contacts,) that a newton on each contact gives its own body over `whole`."""
     return np.array([whole.b[contact.velocity, contact.column] for contact in model.contacts])
 
 
@@ -143,8 +143,8 @@ def _rounding(model: Model) -> dict[str, float]:
 
 
 def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
-    """How far the rotor goes to the middle of a sub-step, per velocity, and the numbers of the
-    laws.
+    """Return the travel of the rotor to the middle of a sub-step, per velocity, and the numbers of
+    the laws.
     """
     rows = {"REACH": 0.5 * duration_s}
     for place, force in enumerate(model.rotor_forces):
@@ -153,7 +153,7 @@ def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
 
 
 def _drive_rows(limits: DriveLimits, column: int | None, whole: Map) -> dict[str, float]:
-    """The range of the motor force, and Y: what a newton taken from it does to states."""
+    """Return the range of the motor force, and Y: the effect of a newton taken from it."""
     own = drive_response_s(limits, column, whole)
     can = reach(limits, whole.duration_s)
     return {

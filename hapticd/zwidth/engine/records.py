@@ -1,10 +1,10 @@
-"""What is kept of a group: its blocks of output become rows of records, or spectra at once.
+"""The stored output of a group: its blocks become rows of records, or spectra at once.
 
-keep = "spectra": a section of 2,048 samples of all lanes is 0.6 MB; spectra take it while it is
-still in the cache (`signal.batch_spectra`), so nothing of a trial is stored but six sums a
-frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
-where trials have their own torque, or the probe adds noise or counts, the group's records are kept
-until its end and analysed one by one, which gives the same spectra more slowly.
+keep = "spectra": a section of 2,048 samples of all lanes is 0.6 MB. Spectra are computed while it
+is still in the cache (`signal.batch_spectra`), so only six sums per frequency of a trial are
+stored. That needs one torque record for all trials and a velocity that is recorded without change.
+If trials have their own torque, or the probe adds noise or counts, the group's records are kept
+until its end and analysed one by one. The spectra are the same, but take longer.
 
 A block must not end inside a section (legs end at sections, see `job`).
 """
@@ -39,7 +39,7 @@ Samples = npt.NDArray[np.int64]
 
 
 class Records:
-    """The kept arrays of some trials of a batch, whose noise is that of their numbers."""
+    """The kept arrays of some trials of a batch; the numbers seed their noise."""
 
     def __init__(self, job: Job, made: Prepared, numbers: Sequence[int]) -> None:
         shape = made.shape
@@ -61,11 +61,11 @@ class Records:
         }
 
     def block(self, start: int) -> Values:
-        """Where the kernel writes the leg from tick `start` on."""
+        """Return the buffer for the leg from tick `start` on."""
         return self._out
 
     def store(self, start: int, end: int, alive: Values) -> None:
-        """Take what the leg from tick `start` to `end` left there."""
+        """Store the output of the leg from tick `start` to `end`."""
         if not self.kept:
             return
         shape = self._made.shape
@@ -79,7 +79,7 @@ class Records:
             array[:, start * wide : end * wide] = part.transpose(2, 0, 1).reshape(len(array), -1)
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
-        """The records by their names in BatchResult, ended where their trials ended: after
+        """Return the records by their names in BatchResult, cut at the ends of their trials, after
         `samples` (count,).
         """
         arrays = self._arrays
@@ -95,7 +95,7 @@ class Records:
         return arrays
 
     def _measured(self, velocity: Values) -> Values:
-        """As the probe's amplifier and converter show it."""
+        """Return the velocity behind the probe's amplifier and converter."""
         noise = self._job.model.noise
         quantum = self._job.model.velocity_quantum_m_per_s
         if noise is not None and noise.velocity_m_per_s:
@@ -107,7 +107,7 @@ class Records:
 
 
 def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | SpectraOfRecords":
-    """What keeps the spectra of a group."""
+    """Return the store for the spectra of a group."""
     noise = job.model.noise
     shape = made.shape
     measured = (
@@ -119,7 +119,7 @@ def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | Spectr
 
 
 class Sums:
-    """See the module; used as `Records`."""
+    """Sums of spectra, as the module describes; used as `Records`."""
 
     kept = True
 
@@ -131,7 +131,7 @@ class Sums:
         self._tick = shape.width * shape.lanes
         self._section = LAG // shape.samples  # ticks
         self._filled = 0  # ticks
-        # of one section: it stays in the second-level cache until its spectra take it
+        # of one section: it stays in the second-level cache until it is transformed
         self._out = aligned(self._section * self._tick, made.scalar)
         sample = np.arange(LAG)
         row = sample // shape.samples * shape.width + sample % shape.samples
@@ -139,11 +139,11 @@ class Sums:
         self._sections = BatchSections(_force(job, made), shape.lanes, made.scalar)
 
     def block(self, start: int) -> Values:
-        """Where the kernel writes a leg from tick `start` on."""
+        """Return the buffer for a leg from tick `start` on."""
         return self._out[start % self._section * self._tick :]
 
     def store(self, start: int, end: int, alive: Values) -> None:
-        """Take the leg, without the lanes that diverged: a section counts whole or not at all."""
+        """Store the leg, without the lanes that diverged: only whole sections count."""
         self._filled = (end - 1) % self._section + 1
         if not alive.all():
             rows = self._out[: self._filled * self._tick].reshape(-1, self._lanes)
@@ -152,13 +152,13 @@ class Sums:
             self._add()
 
     def _add(self) -> None:
-        """Take what is there into the sums; the last section may be short."""
+        """Add the pending section to the sums; the last one may be short."""
         self._out[self._filled * self._tick :] = 0.0
         self._sections.add(self._out, self._place)
         self._filled = 0
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
-        """By their names in BatchResult."""
+        """Return the spectra by their names in BatchResult."""
         if self._filled:
             self._add()
         velocity: Values = np.zeros((self._lanes, LAG + 1))
@@ -177,7 +177,7 @@ class SpectraOfRecords(Records):
     """The same from records; used as `Records`."""
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
-        """By their names in BatchResult."""
+        """Return the spectra by their names in BatchResult."""
         kept = super().finished(samples, inputs)
         velocity = np.asarray(kept["velocity_m_per_s"], np.float64)
         own = "torque_n" in kept
@@ -200,7 +200,7 @@ class SpectraOfRecords(Records):
 
 
 def force_spectrum(job: Job, made: Prepared) -> Floats:
-    """Of the record that all trials share (M + 1,)."""
+    """Return the spectrum of the record that all trials share (M + 1,)."""
     return _force(job, made).spectrum
 
 
@@ -216,7 +216,7 @@ def _force(job: Job, made: Prepared) -> SharedForce:
 def _drawn(
     excitation: Excitation, samples: int, seed: int, quantum_n: float | None, dtype: str
 ) -> SharedForce:
-    """Made once for all jobs that ask for it: it is the costly part of a small task."""
+    """Return the force, cached for all jobs that request it: the costly part of a small task."""
     return _prepared_for(drawn(excitation, samples, seed, quantum_n), samples, SCALARS[dtype])
 
 
@@ -225,5 +225,5 @@ def _prepared_for(record: Floats, samples: int, scalar: type[np.floating[Any]]) 
 
 
 def _lengths(samples: int) -> Samples:
-    """Samples in each section."""
+    """Return the number of samples in each section."""
     return np.minimum(LAG, samples - np.arange(0, samples, LAG))

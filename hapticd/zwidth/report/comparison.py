@@ -1,8 +1,8 @@
-"""The figure and the tables of displays beside each other: as they are, and per kilogram of what
-moves, where a larger display is no better one.
+"""The figure and the tables that compare displays: as they are, and per kilogram of moving mass,
+where size alone is not an advantage.
 
-Limitations: displays that were measured under unlike conditions. What is unlike is in the title of
-the figure and of the tables, by name.
+Limitations: displays measured under unlike conditions. The title of the figure and of the tables
+names the differences.
 """
 
 from textwrap import fill
@@ -44,8 +44,9 @@ PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
 
 @styled()
 def comparison_figure(found: Comparison, width_mm: float | None = None) -> Figure:
-    """Envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, below them how
-    far K, B and M go alone, with their intervals. A dashed line is without active damping.
+    """Draw envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, and below
+    them the limits of K, B and M alone, with their intervals. A dashed line is without active
+    damping.
     """
     names = " and ".join(one.name for one in found.displays)
     title = f"{_badge(found)}{names}\n{how(found)}"
@@ -79,7 +80,7 @@ def comparison_figure(found: Comparison, width_mm: float | None = None) -> Figur
 
 
 def how(found: Comparison) -> str:
-    """How all of them were found, in words; what is unlike by name."""
+    """Describe the common conditions, and name the differences."""
     first = found.displays[0].conditions
     same = fill(
         f"{first.seconds:g} s of noise of {first.perturbation_psd_n2_per_hz:.3g} N^2/Hz a trial, "
@@ -90,8 +91,8 @@ def how(found: Comparison) -> str:
 
 
 def comparison_tables(found: Comparison) -> tuple[Table, ...]:
-    """Conditions; limits with their intervals and per mass; widths of the envelopes and other
-    numbers.
+    """Return conditions; limits with their intervals and per mass; widths of the envelopes and
+    other numbers.
     """
     return _conditions(found), _reaches(found), _widths(found)
 
@@ -175,7 +176,7 @@ def _device(rank: int) -> Look:
 
 
 def _limits(axis: Axes, found: Comparison, name: str) -> None:
-    """A mark and its interval for each display and level, hollow without active damping."""
+    """Draw a mark and its interval for each display and level, hollow without active damping."""
     reached = [
         (rank, *one)
         for rank, display in enumerate(found.displays)
@@ -198,7 +199,7 @@ def _limits(axis: Axes, found: Comparison, name: str) -> None:
 
 
 def _reached(display: Compared, name: str) -> list[tuple[Level, Reach]]:
-    """The limit of that name at each level."""
+    """Return the limit of that name at each level."""
     return [
         (level, reach) for level in display.levels for reach in level.limits if reach.name == name
     ]

@@ -1,13 +1,13 @@
-"""Figures of envelopes: the largest and smallest passive |Z| (or |Y|) and phase, and strips that
-say who owns them.
+"""Figures of envelopes: the largest and smallest passive |Z| (or |Y|) and phase, with strips that
+show the owners.
 
-The strip names the parameter of the owner that weighs most at each frequency, that of K/w, |B| and
-|M| w which is largest, and its sign. Where the largest and the smallest of N equal trials would lie
-as far apart by their noise alone, 2 sqrt(2 ln N) standard deviations, nobody owns the envelope.
-Bands are 95 % intervals of the owning trial alone; the smallest of many noisy values lies below the
-smallest true one, so a lower edge lies below its prediction partly because it is a minimum.
+The strip shows the dominant parameter of the owner at each frequency, the largest of K/w, |B| and
+|M| w, and its sign. The envelope has no owner where noise alone would separate the largest and the
+smallest of N equal trials as far, by 2 sqrt(2 ln N) standard deviations. Bands are 95 % intervals
+of the owning trial alone. The smallest of many noisy values lies below the smallest true one, so a
+lower edge lies below its prediction partly because it is a minimum.
 
-Limitations: envelopes of unlike grids side by side; a finer grid always goes lower.
+Limitations: comparison of envelopes on unlike grids; a finer grid always goes lower.
 """
 
 from collections.abc import Sequence
@@ -57,15 +57,15 @@ __all__ = [
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 
 SHOWN_HZ = (2.0, 1000.0)
-NAME_IN = 0.45  # that a name takes in a strip
+NAME_IN = 0.45  # width of a name in a strip
 NOBODY = -1.0
 NOTHING = "#ffffff"
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """One envelope to draw; `environments` (N, 3) are K, B, M of its trials. `calm`: frequencies
-    that one window spans.
+    """One envelope to draw; `environments` (N, 3) are K, B, M of its trials. `calm`: number of
+    frequencies within one window.
     """
 
     envelope: Envelope
@@ -83,9 +83,9 @@ def envelope_figure(
     inverse: bool = False,
     width_mm: float | None = None,
 ) -> Figure:
-    """Largest and smallest |Z| [N s/m] and phase [deg] of the trials that pass, a strip of owners
-    for each level; dotted what is predicted of the same trials. AnalysisError for a level of
-    which none passes.
+    """Draw largest and smallest |Z| [N s/m] and phase [deg] of the trials that pass, a strip of
+    owners for each level, and the predictions of the same trials, dotted. AnalysisError for a level
+    at which no trial passes.
 
     `levels`: (active damping [N s/m], its trials). `inverse`: of the admittance, whose largest
     values are owned by the smallest |Z|.
@@ -106,8 +106,8 @@ def envelope_figure(
 def _of_trials(
     conditions: Conditions, level: float, trials: Sequence[Outcome], look: Look, inverse: bool
 ) -> Drawn:
-    """The envelope of the trials that pass, and what is predicted of the same environments where
-    the figure shows it.
+    """Return the envelope of the trials that pass, and that predicted for the same environments
+    within the range of the figure.
     """
     passed = [trial for trial in trials if trial.passes]
     points = np.array([trial.environment for trial in passed]).reshape(-1, 3)
@@ -129,9 +129,7 @@ def envelopes_figure(
     view: View = IMPEDANCE,
     width_mm: float | None = None,
 ) -> Figure:
-    """Edges of size, a strip of owners for each envelope, edges of phase. Call it within
-    `styled`.
-    """
+    """Draw edges of size, a strip of owners per envelope, edges of phase, within `styled`."""
     count = len(shown)
     figure, (size, *strips, phase) = axes(
         2 + count,
@@ -181,7 +179,7 @@ def edges(
     rank: int = 0,
     linear: bool = False,
 ) -> None:
-    """Upper and lower edge with their intervals, tinted between them, the first envelope on top."""
+    """Draw both edges with their intervals, tinted between them, the first envelope on top."""
     upper, lower = pair
     axis.fill_between(
         frequency_hz,
@@ -199,8 +197,8 @@ def edges(
 
 
 def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
-    """(F,) 0 K, 1 B > 0, 2 M > 0, 3 B < 0, 4 M < 0, NOBODY where nothing is rendered; for owners
-    (K, B, M) (F, 3).
+    """Return (F,) 0 K, 1 B > 0, 2 M > 0, 3 B < 0, 4 M < 0, NOBODY for an owner without K, B and M;
+    for owners (K, B, M) (F, 3).
     """
     w = 2.0 * np.pi * frequency_hz
     parts = np.stack((owners[:, 0] / w, owners[:, 1], owners[:, 2] * w))
@@ -210,8 +208,8 @@ def weightiest(frequency_hz: Floats, owners: Floats) -> Floats:
 
 
 def weighty(drawn: Drawn, edge: Edge) -> Floats:
-    """(F,) index into PARTS, NOBODY where nothing is rendered or noise alone would make the
-    envelope as wide.
+    """Return (F,) index into PARTS; NOBODY for an owner without K, B and M, or if noise alone would
+    make the envelope as wide.
     """
     upper = drawn.envelope.upper
     lower = drawn.envelope.lower
@@ -226,7 +224,7 @@ def weighty(drawn: Drawn, edge: Edge) -> Floats:
 
 
 def _majority(which: Floats, count: int) -> Floats:
-    """The most frequent value of each neighbourhood of `count`, which is odd."""
+    """Return the most frequent value of each neighbourhood of `count`, which is odd."""
     near = np.lib.stride_tricks.sliding_window_view(np.pad(which, count // 2, mode="edge"), count)
     kinds = np.arange(NOBODY, len(PARTS))
     return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
@@ -234,7 +232,7 @@ def _majority(which: Floats, count: int) -> Floats:
 
 def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str) -> None:
     """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
-    are wide enough, so that nobody needs the colours.
+    fit, so that the strip is readable without colours.
     """
     from matplotlib.colors import ListedColormap
 
@@ -279,6 +277,6 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float) -> None:
 
 
 def keys(negative: bool = True) -> list[Any]:
-    """Handles of a legend: the parts, without B < 0 where no trial has it, and nobody."""
+    """Return handles of a legend: the parts, without B < 0 if no trial has it, and NOBODY."""
     parts = (*(part for part in PARTS if negative or part[0] != "B < 0"), ("nobody", NOTHING))
     return [patch(name, colour, linewidth=0.6) for name, colour in parts]

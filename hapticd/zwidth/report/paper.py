@@ -1,14 +1,14 @@
-"""What the width of a figure asks for: panels beside each other, lines of words, places of legends.
+"""Effects of the width of a figure: arrangement of panels, line breaks, positions of legends.
 
-A figure is drawn at its final size. What follows from a width, on a screen or in print:
+A figure is drawn at its final size. A width, on a screen or in print, determines:
 
-    type      7 pt and more, the least that journals take: `NARROW_PT` on a narrow figure
-    panels    those that would be too narrow beside each other go to the next line, in their order
-    legends   all of a narrow figure are one below it, in as many columns as there is room for
+    type      at least 7 pt, the minimum of journals: `NARROW_PT` on a narrow figure
+    panels    those that would be too narrow next to each other go to the next line, in order
+    legends   all of a narrow figure become one below it, in as many columns as fit
     words     titles, labels and legends are broken into lines, never before a unit
-    height    follows from all that, up to what a page can hold
+    height    follows from these, up to that of a page
 
-A panel whose numbers or bar of colours take more room than `PANEL_IN` needs a figure that passes
+A panel whose numbers or colour bar need more room than `PANEL_IN` needs a figure that passes
 `panel_in`.
 """
 
@@ -35,20 +35,20 @@ NARROWEST_MM = 60.0
 WIDEST_MM = 400.0
 LEAST_PT = 7.0
 
-NARROW_IN = 5.0  # below it type is smaller, and legends stand below the figure
-SMALL = 0.833  # of font.size: what matplotlib calls small
+NARROW_IN = 5.0  # below it type is smaller, and legends are below the figure
+SMALL = 0.833  # of font.size: matplotlib's "small"
 NARROW_PT = 8.5  # font.size there; `small` is 7.1 pt
 PANEL_IN = 1.6  # a panel is not narrower
 PANEL_SHARE = 0.5  # nor less than that of its width on a screen
 FLATTEST = 0.9  # of the height of a panel on a screen
-HIGHEST_IN = 9.0  # that a page holds
+HIGHEST_IN = 9.0  # height of a page
 LINE = 1.35  # height of a line of words, over its type
-EDGE_IN = 0.1  # kept free beside words
-KEY_IN = 0.6  # that the line or mark of a legend takes beside its words
+EDGE_IN = 0.1  # margin of text
+KEY_IN = 0.6  # width of the line or mark of a legend
 BELOW: dict[str, Any] = {"loc": "outside lower center", "frameon": False}  # a legend
-FIXED = "\u00a0"  # a space at which no line ends
+FIXED = "\u00a0"  # a non-breaking space
 LEAST_LETTERS = 8  # of a line
-# a number with its unit, and what stands in brackets
+# a number with its unit, and text in brackets
 UNITS = r"\([^()]*\)|[\w.]+ (N s/m|N/m|N|Hz|g|mm/s|m/s|mm|s|%)(?=\W|$)|\w = \S+"
 
 Panels = Sequence[Sequence[str]]
@@ -56,7 +56,7 @@ Inside = tuple["Axes", list[Any], dict[str, Any]]  # axes, handles, where
 
 
 def width_mm(text: str) -> float:
-    """The width [mm] that `text` names: column, text or a number. ConfigError for others."""
+    """Return the width [mm] for `text`: column, text or a number. ConfigError for others."""
     named = WIDTHS_MM.get(text)
     try:
         found = float(text) if named is None else named
@@ -81,8 +81,8 @@ def set_type(width_in: float) -> float:
 
 
 def arranged(panels: Panels, own_in: float, page_in: float, panel_in: float = PANEL_IN) -> Panels:
-    """Names of panels, line by line, where a figure that is `own_in` [in] wide on a screen is
-    `page_in` [in] wide. Single panels below each other are in the order of the columns.
+    """Return names of panels, line by line, for a figure that is `own_in` [in] wide on a screen and
+    is drawn `page_in` [in] wide. Single panels below each other are in the order of the columns.
     """
     known: set[str] = set()
     rows = []
@@ -104,14 +104,14 @@ def arranged(panels: Panels, own_in: float, page_in: float, panel_in: float = PA
 
 
 def spread(lines: Panels) -> Panels:
-    """Lines of unlike numbers of panels on one grid, each as wide as the others."""
+    """Arrange lines of different numbers of panels on one grid, with equal widths in each line."""
     columns = lcm(*map(len, lines))
     return [[name for name in line for _ in range(columns // len(line))] for line in lines]
 
 
 def height_in(before: Panels, after: Panels, own_in: tuple[float, float], page_in: float) -> float:
-    """Height [in] of a figure of size `own_in` whose panels are arranged anew: flatter panels where
-    they are narrower.
+    """Return the height [in] of a figure of size `own_in` after rearranging its panels: narrower
+    panels are flatter.
     """
     columns, beside = (len(dict.fromkeys(panels[0])) for panels in (before, after))
     share = page_in / own_in[0] * columns / beside
@@ -121,7 +121,7 @@ def height_in(before: Panels, after: Panels, own_in: tuple[float, float], page_i
 
 
 def fitted(words: str, room_in: float, type_pt: float) -> str:
-    """`words` in lines no longer than `room_in` [in], a number and its unit in one line."""
+    """Break `words` into lines no longer than `room_in` [in], a number and its unit in one line."""
     return "\n".join(_filled(line, room_in, type_pt) for line in words.split("\n"))
 
 
@@ -139,11 +139,11 @@ def _filled(line: str, room_in: float, type_pt: float) -> str:
 
 
 def settle(figure: "Figure") -> None:
-    """Lay out a figure once for all of its files: titles and labels that are longer than their axes
-    are broken into lines.
+    """Lay out a figure once for all of its files: titles and labels longer than their axes are
+    broken into lines.
     """
     set_type(figure.get_figwidth())
-    for part in (_labels, _titles):  # panels are narrower beside broken labels
+    for part in (_labels, _titles):  # panels are narrower next to broken labels
         figure.draw_without_rendering()
         for words, room_in in chain.from_iterable(map(part, figure.axes)):
             words.set_text(fitted(words.get_text(), room_in, float(words.get_fontsize())))
@@ -152,7 +152,7 @@ def settle(figure: "Figure") -> None:
 
 
 def _labels(axis: "Axes") -> list[tuple[Any, float]]:
-    """The labels of axes, and the length [in] that each may have."""
+    """Return the labels of axes, and the maximum length [in] of each."""
     figure: Any = axis.figure
     box = axis.get_window_extent()
     wide_in, high_in = box.width / figure.dpi, box.height / figure.dpi
@@ -160,7 +160,7 @@ def _labels(axis: "Axes") -> list[tuple[Any, float]]:
 
 
 def _titles(axis: "Axes") -> list[tuple[Any, float]]:
-    """The title of axes, and the length [in] that it may have."""
+    """Return the title of axes, and its maximum length [in]."""
     figure: Any = axis.figure
     wide_in = axis.get_window_extent().width / figure.dpi
     texts = (one for one in axis.get_children() if hasattr(one, "get_text"))
@@ -170,9 +170,8 @@ def _titles(axis: "Axes") -> list[tuple[Any, float]]:
 def legends(
     figure: "Figure", handles: Sequence[Any], ncols: int = 1, title: str = "", *inside: Inside
 ) -> None:
-    """A legend of `handles` below a figure, and others `inside` its axes; of a narrow figure one
-    below for all. What would not fit into `ncols` columns is in fewer. Call it last, within
-    `styled`.
+    """Add a legend of `handles` below a figure, and others `inside` its axes; a narrow figure gets
+    one below for all. If `ncols` columns do not fit, fewer are used. Call it last, within `styled`.
     """
     narrow = figure.get_figwidth() < NARROW_IN
     if narrow:

@@ -1,12 +1,11 @@
 """Figures of the passive set: its map in slices of one M, a directed search of it, its limits on
 the axes, and virtual walls.
 
-The set is shown as the largest K over B, a line with a tinted area below it, dotted where it is
-predicted. A slice of a search shows only the trials whose M is next to its own, for a boundary in K
-and B moves with M; all trials are in the panel below.
+The set is drawn as the largest K over B, a line with a tinted area below it, dotted where it is
+predicted. A slice of a search contains only the trials with an M close to its own, because the
+boundary in K and B moves with M; the panel below has all trials.
 
-A set that is drawn over another must have its rank: the first level, the smaller set, must be on
-top.
+A set drawn over another must have its rank: the first level, the smaller set, must be on top.
 """
 
 from collections.abc import Iterable, Sequence
@@ -51,10 +50,10 @@ __all__ = ["draw_predicted", "limits_figure", "search_figure", "set_figure", "wa
 
 PANELS = 6  # of a map, at most
 COLUMNS = 3
-ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at one point
-SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
-NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
-APART_IN = 0.17  # least distance of two numbers
+ASIDE = 0.12  # of a step of B: distance of the marks of two levels at one point
+SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: there is one slice between two of them
+NEAR = 0.02  # of the range of masses: trials this close to a slice are shown in it
+APART_IN = 0.17  # minimum distance of two numbers
 AXIS_LABELS = {
     "K": ("largest K (N/m)", 1.0),
     "B": ("largest B (N s/m)", 1.0),
@@ -67,7 +66,7 @@ ALONE: Look = {"color": BLACK, "linestyle": "-"}
 
 
 def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
-    """The line below a title, with what was judged."""
+    """Return the line below a title, with the judged range."""
     judged = sorted({str(one) for one in ranges})
     return ", ".join((simulated(conditions.scene.device, conditions.seconds), *judged))
 
@@ -75,14 +74,14 @@ def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
 def area(
     axis: Axes, damping: Floats, stiffness: Floats, look: Look, rank: int = 0, **more: Any
 ) -> None:
-    """The largest K over B, tinted below; the first level, the smaller set, is on top."""
+    """Draw the largest K over B, tinted below; the first level, the smaller set, is on top."""
     low = 0.4 - 0.01 * rank
     axis.fill_between(damping, 0.0, stiffness, color=tint(look["color"]), linewidth=0, zorder=low)
     axis.plot(damping, stiffness, **{**look, **more})
 
 
 def _closed(edge: Floats) -> Floats:
-    """An edge (nB,) that goes down to K = 0 where it ends."""
+    """Return an edge (nB,) extended down to K = 0 where it ends."""
     known = ~np.isnan(edge)
     return np.where(~known & np.roll(known, 1), 0.0, edge)
 
@@ -92,8 +91,8 @@ def _closed(edge: Floats) -> Floats:
 
 @styled()
 def set_figure(result: MapResult, width_mm: float | None = None) -> Figure:
-    """The largest passive K over B, a panel for each of up to six virtual masses, a line and marks
-    for each damping level.
+    """Draw the largest passive K over B, a panel for each of up to six virtual masses, a line and
+    marks for each damping level.
 
     M = 0, or the mass nearest to it, is among them. ConfigError without matplotlib.
     """
@@ -132,8 +131,8 @@ def set_figure(result: MapResult, width_mm: float | None = None) -> Figure:
 
 
 def slices(result: MapResult) -> Integers:
-    """Up to six places on the axis of M, two rows or one: those nearest to 0 and others evenly
-    apart, where something passes or was tried.
+    """Return up to six indices on the axis of M, two rows or one: the nearest to 0 and others
+    evenly apart, where an environment passes or was tried.
     """
     shapes = [level.found.margin.shape for level in result.levels]
     shown = [
@@ -149,9 +148,7 @@ def slices(result: MapResult) -> Integers:
 
 
 def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, count: int) -> None:
-    """One of `count` levels in one panel: what passes, what fails, what was only predicted to
-    pass.
-    """
+    """Draw one of `count` levels in one panel: passing, failing and only predicted points."""
     stiffness, damping, _ = level.found.axes
     passive, tried = (
         flags.reshape(level.found.margin.shape)[:, :, panel]
@@ -170,7 +167,7 @@ def _plane(place: Axes, level: LevelMap, panel: int, look: Look, rank: int, coun
 
 
 def highest(found: PassiveSet, panel: int) -> Floats:
-    """Largest passive K [N/m] (nB,) of the grid at each damping; nan where none is."""
+    """Return the largest passive K [N/m] (nB,) of the grid at each damping; nan without one."""
     stiffness = found.axes[0]
     passive = found.passive[:, :, panel]
     return np.where(
@@ -183,8 +180,8 @@ def highest(found: PassiveSet, panel: int) -> Floats:
 
 @styled()
 def search_figure(results: Sequence[SearchResult], width_mm: float | None = None) -> Figure:
-    """For each damping level a row of slices through the set; below, each trial's expected and
-    found least Re Z.
+    """Draw for each damping level a row of slices through the set, and below them the expected and
+    measured minimum Re Z of each trial.
     """
     rows = [[f"{row} {panel}" for panel in range(len(SHARES) - 1)] for row in range(len(results))]
     below = [f"foreseen {row}" for row in range(len(results))]
@@ -225,7 +222,7 @@ def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     mass = result.found.axes[2]
     passive = mass[
         result.found.passive.any(axis=(0, 1))
-    ]  # K = B = M = 0 is, or there had been no search
+    ]  # K = B = M = 0 is passive, otherwise there is no search
     tried = np.array([step.outcome.environment for step in result.steps])
     reach = NEAR * float(passive[-1] - passive[0])
     level = f"{level_label(result.plan.params.active_damping_ns_per_m)}\n"
@@ -249,8 +246,8 @@ def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
 
 
 def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
-    """Between any two borders the mass of the trial that has the most others within `reach`; the
-    middle where none was tried.
+    """Return between any two borders the mass of the trial that has the most others within `reach`;
+    the middle if none was tried.
     """
     chosen = []
     for low, high in pairwise(borders):
@@ -261,7 +258,7 @@ def slice_masses(tried: Floats, borders: Floats, reach: float) -> list[float]:
 
 
 def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> None:
-    """Those of this slice; with their numbers where no other number stands."""
+    """Draw the trials of this slice, with their numbers where there is room."""
     left, right = place.get_xlim()
     foot, head = place.get_ylim()
     wide_in, high_in = size_in(place)
@@ -347,7 +344,7 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
 
 @styled()
 def limits_figure(result: LimitsResult, width_mm: float | None = None) -> Figure:
-    """Axis limits over active damping, or over the perturbation where several amplitudes were
+    """Draw axis limits over active damping, or over the perturbation if several amplitudes were
     scanned.
     """
     params = result.plan.params
@@ -406,14 +403,12 @@ def _limit_line(place: Axes, limits: list[AxisLimit], many: bool, look: Look, na
 
 
 def draw_predicted(place: Axes, x: Any, value: Any, look: Look) -> None:
-    """What was predicted of limits: the same marks, hollow."""
+    """Draw predicted limits: the same marks, hollow."""
     place.plot(x, value, **{**look, **HOLLOW, "markerfacecolor": "none"})
 
 
 def _perturbation_axis(place: Axes, psd: list[float]) -> None:
-    """A logarithmic axis with ticks at what was tried, and no more of them than there is room
-    for.
-    """
+    """Set a logarithmic axis with ticks at the tried values, as many as fit."""
     shown = [value / PSD_UNIT for value in psd[:: -(-len(psd) // MOST_TICKS)]]
     place.set(xscale="log", xlabel="perturbation ($10^{-5}$ N²/Hz)")
     place.set_xticks(
@@ -432,8 +427,8 @@ def walls_figure(
     title: str = "Walls that come to rest",
     width_mm: float | None = None,
 ) -> Figure:
-    """A line and an area for each damping level: marks are the stiffest stable walls, crosses the
-    softest that was not.
+    """Draw a line and an area for each damping level: marks are the stiffest stable walls, crosses
+    the softest unstable one.
     """
     params = result.plan.params
     scene = result.plan.params.scene
@@ -460,7 +455,7 @@ def walls_figure(
 
 
 def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int) -> None:
-    """Draw the walls of one level; where not even the softest wall rests the line is at 0 and its
+    """Draw the walls of one level; if even the softest wall is unstable the line is at 0 and its
     mark points down.
     """
     lines = result.at(level)
@@ -483,7 +478,7 @@ def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int)
         **shown,
         markevery=[int(at) for at in np.flatnonzero(rests)],
     )
-    if not rests.all():  # an empty line that is not clipped would take room in the layout
+    if not rests.all():  # an empty unclipped line would take room in the layout
         place.plot(
             damping[~rests],
             highest[~rests],

@@ -1,20 +1,18 @@
-"""How every figure looks and is saved: sizes, axes, and the one table of what colours, lines and
-marks mean.
+"""Appearance and storage of all figures: sizes, axes, and the meaning of colours, lines and marks.
 
-    blue, solid          with active damping, the usual level where it is one of several; others in
+    blue, solid          with active damping: the usual level if there are several; others in
                          brown, wine, olive
     red, dashed          without active damping; nothing else is dashed
-    dotted               predicted, black or in the colour of what it predicts; a hollow mark is
+    dotted               predicted, black or in the colour of its subject; a hollow mark is
                          predicted too
     grey area            not judged
     orange, green, sky, forest, purple   K, B > 0, M > 0, B < 0, M < 0
     disc, cross, triangle                a trial passes, fails, escapes
 
 A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), distinct to
-every eye; whatever a colour means, a line style or a marker means as well. Figures are drawn
-without a window and kept as PNG of 300 dpi, SVG and PDF; the same data give the same bytes, for
-none of them carries a date or random names. Sizes stand in `figure.mplstyle`, what a width asks for
-in `paper`.
+every eye; each has a line style or a marker of the same meaning. Figures are drawn without a window
+and stored as PNG of 300 dpi, SVG and PDF. The same data give the same bytes, because files contain
+no dates or random names. Sizes are in `figure.mplstyle`, effects of the width in `paper`.
 
 A figure must not choose colours of its own, and must be drawn inside `styled`.
 """
@@ -125,7 +123,7 @@ UNDATED: dict[str, dict[str, Any]] = {
 }
 FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 ROUND = ((1.0,), *FINE)
-DECADE_IN = 0.95  # that ticks at 1, 2 and 5 take
+DECADE_IN = 0.95  # width for ticks at 1, 2 and 5
 RATIOS = ("height_ratios", "width_ratios")
 FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
@@ -133,7 +131,7 @@ LEAST_RANGE = 2.5  # of a logarithmic axis
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within it, or in a function that it decorates, figures look like ours. MissingLibrary without
+    """Apply this style within it, or in a function that it decorates. MissingLibrary without
     matplotlib.
     """
     with need("matplotlib", "a figure").rc_context(fname=STYLE):
@@ -152,8 +150,8 @@ def mosaic(
     panel_in: float = PANEL_IN,
     **more: Any,
 ) -> tuple[Figure, dict[str, Axes]]:
-    """A figure whose axes have names; one that is named twice spans both places. It is `width_mm`
-    [mm] wide, its panels in more lines where they need it, or else of the size `width_in` by
+    """Create a figure whose axes have names; a repeated name spans both places. It is `width_mm`
+    [mm] wide, with its panels in more lines if necessary, by default of the size `width_in` by
     `height_in` [in]. Call it within `styled`.
     """
     from matplotlib.figure import Figure
@@ -174,15 +172,15 @@ def mosaic(
 def axes(
     rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any
 ) -> tuple[Figure, list[Axes]]:
-    """A figure as `mosaic`, and its axes row by row. Call it within `styled`."""
+    """Create a figure as `mosaic`, and return its axes row by row. Call it within `styled`."""
     panels = [[f"{row} {column}" for column in range(columns)] for row in range(rows)]
     figure, found = mosaic(panels, width_in, height_in, title, **more)
     return figure, [found[name] for row in panels for name in row]
 
 
 def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
-    """NAME.png, NAME.svg and NAME.pdf in `folder`, which is made. The same figure gives the same
-    bytes. ConfigError if it cannot be written to.
+    """Write NAME.png, NAME.svg and NAME.pdf to `folder`, which is created. The same figure gives
+    the same bytes. ConfigError if it cannot be written.
     """
     paths = tuple(folder / f"{name}.{kind}" for kind in FIGURE_KINDS)
     try:
@@ -197,8 +195,8 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
 
 
 def simulated(device: str, seconds: float, more: str = "") -> str:
-    """The line below a title: how the numbers of a figure came about; 0 s of trials: by prediction
-    alone.
+    """Return the line below a title: the origin of the numbers of a figure; 0 s of trials: by
+    prediction alone.
     """
     return (
         f"SIMULATED {device}, {f'{more}{seconds:g} s of noise a trial' if seconds else 'predicted'}"
@@ -206,14 +204,14 @@ def simulated(device: str, seconds: float, more: str = "") -> str:
 
 
 def size_in(axis: Axes) -> tuple[float, float]:
-    """Width and height [in] of axes, about: their figure is not laid out yet."""
+    """Return the approximate width and height [in] of axes: their figure is not laid out yet."""
     figure: Any = axis.figure
     wide_in, high_in = axis.get_position().size * figure.get_size_inches()
     return float(wide_in), float(high_in)
 
 
 def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
-    """A logarithmic frequency axis with ticks at 1, 2 and 5 of each decade where there is room."""
+    """Set a logarithmic frequency axis with ticks at 1, 2 and 5 of each decade if there is room."""
     axis.set(xscale="log", xlim=(low_hz, high_hz), xlabel="frequency (Hz)")
     roomy = size_in(axis)[0] > DECADE_IN * log10(high_hz / low_hz)
     plain_axis(axis.xaxis, FINE[:1] if roomy else ROUND[:1])
@@ -225,8 +223,7 @@ def plain_axis(
     words: Callable[[float], str] = "{:g}".format,
 ) -> None:
     """Label a logarithmic axis with a few round numbers: decades, or 1, 2, 5 of each, or finer ones
-    where the axis is short; one that is nearly constant is widened. Call it when its data are
-    drawn.
+    on a short axis; a nearly constant axis is widened. Call it after drawing the data.
     """
     from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -254,8 +251,8 @@ def plain_axis(
 
 
 def level_styles(levels: Sequence[float]) -> list[Look]:
-    """One for each level of active damping [N s/m]: none; the usual one, or else the first that is
-    some; the others in order.
+    """Return one for each level of active damping [N s/m]: none; the usual one, or otherwise the
+    first above 0; the others in order.
     """
     first = (
         ACTIVE_DAMPING_NS_PER_M
@@ -269,12 +266,14 @@ def level_styles(levels: Sequence[float]) -> list[Look]:
 
 
 def level_label(level: float) -> str:
-    """A level of active damping [N s/m] in a legend."""
+    """Return the label of a level of active damping [N s/m] in a legend."""
     return f"with {level:g} N s/m of active damping" if level else "without active damping"
 
 
 def tint(colour: str, share: float = 0.14) -> str:
-    """That colour, opaque and light: areas that overlap stay what they are, and never look grey."""
+    """Return that colour, opaque and light: overlapping areas keep their colours, and never look
+    grey.
+    """
     parts = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
     return "#" + "".join(f"{round(255 - share * (255 - part)):02x}" for part in parts)
 
@@ -288,8 +287,8 @@ def draw_band(
     label: str | None = None,
     linear: bool = False,
 ) -> None:
-    """A line and its interval: `spread` (F,) on both sides of the logarithm of `value` (F,), or of
-    itself if `linear`; nan: none.
+    """Draw a line and its interval: `spread` (F,) on both sides of the logarithm of `value` (F,),
+    or of itself if `linear`; nan: none.
     """
     low, high = (
         (value - spread, value + spread)
@@ -301,7 +300,7 @@ def draw_band(
 
 
 def legend_handles(axis: Axes) -> list[Any]:
-    """Handles of a legend: what is drawn, each label once."""
+    """Return handles of a legend: the drawn elements, each label once."""
     return [
         *{
             str(handle.get_label()): handle for handle in axis.get_legend_handles_labels()[0]
@@ -310,14 +309,14 @@ def legend_handles(axis: Axes) -> list[Any]:
 
 
 def mark(label: str, **look: Any) -> Any:
-    """A line or a mark of a legend."""
+    """Return a line or a mark of a legend."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **look)
 
 
 def patch(label: str, colour: str, **more: Any) -> Any:
-    """An area of a legend."""
+    """Return an area of a legend."""
     from matplotlib.patches import Patch
 
     return Patch(
@@ -326,8 +325,8 @@ def patch(label: str, colour: str, **more: Any) -> Any:
 
 
 def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
-    """Grey outside the band, and its mark for a legend. Call it when the frequency axes have their
-    range.
+    """Draw grey outside the band, and return its mark for a legend. Call it when the frequency axes
+    have their range.
     """
     for axis in axes:
         for begin, end in ((LOWEST_HZ, band_hz[0]), (band_hz[1], HIGHEST_HZ)):

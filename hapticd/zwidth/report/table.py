@@ -1,5 +1,5 @@
-"""Tables as text: columns with units, numbers to three digits, aligned; and shares and durations in
-words.
+"""Tables as text: columns with units, numbers to three digits, aligned; and formatted shares and
+durations.
 
 A column of numbers and words is aligned as words.
 """
@@ -31,12 +31,12 @@ class Table:
 
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[Cell]], title: str = "") -> Table:
-    """A table from anything iterable."""
+    """Return a table from any iterables."""
     return Table(tuple(columns), tuple(tuple(row) for row in rows), title)
 
 
 def text(content: Table) -> str:
-    """The table, numbers to the right, words to the left, long words of the last column in
+    """Format the table, numbers right-aligned, words left-aligned, long words of the last column in
     several lines.
     """
     cells = [content.columns, *([shown(cell) for cell in row] for row in content.rows)]
@@ -60,7 +60,7 @@ def text(content: Table) -> str:
 
 
 def shown(cell: Cell) -> str:
-    """A number to three digits; "-" for one that does not apply."""
+    """Format a number to three digits; "-" for nan."""
     if isinstance(cell, str):
         return cell
     if isnan(cell):
@@ -69,7 +69,7 @@ def shown(cell: Cell) -> str:
 
 
 def changed(share: float) -> str:
-    """A relative change in words."""
+    """Format a relative change."""
     if share == inf:
         return "all"
     if share < NONE:
@@ -78,7 +78,7 @@ def changed(share: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds with the prefix that suits them."""
+    """Format seconds with a suitable prefix."""
     if isnan(seconds):
         return "-"
     for factor, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us")):
@@ -88,7 +88,7 @@ def duration(seconds: float) -> str:
 
 
 def _broken(row: Sequence[str]) -> list[list[str]]:
-    """The lines of a row: its last cell is wrapped."""
+    """Return the lines of a row: its last cell is wrapped."""
     first, *more = wrap(row[-1], WIDEST_LAST) or [""]
     blank = [""] * (len(row) - 1)
     return [[*row[:-1], first], *([*blank, line] for line in more)]

@@ -1,11 +1,11 @@
-"""Figures of trials: impedance or admittance with its interval, its coherence, and what was
-predicted; a motion replayed.
+"""Figures of trials: impedance or admittance with its interval, its coherence and its prediction; a
+replayed motion.
 
 Every figure of an impedance has the same two axes, size above phase, and `draw` puts a line on
-both. Logarithm and phase of the admittance are those of the impedance with the other sign, and so
-is the interval.
+both. Logarithm and phase of the admittance are those of the impedance with the other sign, and the
+interval is the same.
 
-An interval of more than a factor of e is left out, for it is no longer normal.
+An interval of more than a factor of e is omitted, because it is no longer normal.
 """
 
 from collections.abc import Iterable, Sequence
@@ -57,10 +57,10 @@ __all__ = [
     "trial_figure",
 ]
 
-Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
+Trace = tuple[Floats, Floats, Look]  # time [s], values, style
 
-RANDOM = " of the random error"  # without what the calibrations leave open
-FEWEST = 4.0  # degrees of freedom that an interval takes
+RANDOM = " of the random error"  # without the uncertainty of the calibrations
+FEWEST = 4.0  # minimum degrees of freedom for an interval
 SHOWN_HZ = (1.0, 1000.0)
 # characters of a line
 TITLE_WIDTH = 95
@@ -69,7 +69,7 @@ REASON_WIDTH = 100
 
 @dataclass(frozen=True)
 class View:
-    """What is drawn of an impedance: it or its inverse."""
+    """The drawn quantity: the impedance or its inverse."""
 
     symbol: str
     unit: str
@@ -89,8 +89,8 @@ def draw(
     spread: Any = np.nan,
     view: View = IMPEDANCE,
 ) -> None:
-    """Size and phase of Z (F,) [N s/m], tinted where the interval is known: `spread` (F,) is half
-    of that of ln |Z|, and of the phase in radians.
+    """Draw size and phase of Z (F,) [N s/m], tinted where the interval is known: `spread` (F,) is
+    the half-width for ln |Z|, and for the phase in radians.
     """
     size, phase = places
     known = np.where(spread < 1.0, spread, np.nan)
@@ -107,10 +107,10 @@ def dress(
     where: str = "",
     more: Iterable[Axes] = (),
 ) -> Any:
-    """Labels, the phases that are passive, grey over all that is not judged; the mark of grey for a
-    legend.
+    """Add labels, the passive range of the phase, and grey over everything not judged; return the
+    mark of grey for a legend.
 
-    Call it when all is drawn and the frequency axes have their range.
+    Call it when everything is drawn and the frequency axes have their range.
     """
     size.set(yscale="log", ylabel=f"|{view.symbol}|{where} ({view.unit})")
     plain_axis(size.yaxis, FINE)
@@ -123,7 +123,7 @@ def dress(
 
 
 def interval(look: Look, more: str = "") -> Any:
-    """The mark of an interval in a legend."""
+    """Return the mark of an interval in a legend."""
     return patch(f"{INTERVAL}{more}", look["color"], alpha=0.35)
 
 
@@ -134,10 +134,10 @@ def trial_figure(
     admittance: bool = False,
     width_mm: float | None = None,
 ) -> Figure:
-    """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
+    """Draw size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.
 
-    Of a trial that escaped force and velocity: a spectrum of them would be that of no impedance.
+    Of a trial that escaped force and velocity are drawn: their spectrum would not be an impedance.
     """
     view = ADMITTANCE if admittance else IMPEDANCE
     look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
@@ -181,8 +181,8 @@ def trial_figure(
 
 
 def _interval(z: Impedance) -> Floats:
-    """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians, for the random error;
-    Student's t, for realisations may be few.
+    """Return half of the 95 % interval (F,) of ln|Z|, and of the phase in radians, for the random
+    error; Student's t, because realisations may be few.
     """
     if z.degrees_of_freedom < FEWEST:
         return np.full(z.frequency_hz.size, np.inf)
@@ -219,7 +219,7 @@ def _excited(result: TrialResult) -> str:
 
 
 def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Trace]]]) -> None:
-    """A label and lines for each of the axes, which share their time."""
+    """Draw a label and lines for each of the axes, which share their time."""
     for place, (label, lines) in zip(places, panels, strict=True):
         for time_s, values, look in lines:
             place.plot(time_s, values, **look)
@@ -229,7 +229,7 @@ def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Tra
 
 
 def _undrawn(result: TrialResult, view: View, why: str, width_mm: float | None) -> Figure:
-    """Force and velocity over time, for `why` there is no spectrum of them."""
+    """Draw force and velocity over time; `why` is the reason for the missing spectrum."""
     recorded = result.recorded
     title = _title(result, view).rsplit("\n", 1)[0]
     look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
@@ -253,11 +253,11 @@ def replay_figure(
     changed: str = "replayed",
     width_mm: float | None = None,
 ) -> Figure:
-    """A motion, the force that was, the force that would have been, and their difference over time;
-    `changed`: what was held otherwise. ConfigError without matplotlib.
+    """Draw a motion, the recorded force, the replayed force, and their difference over time;
+    `changed`: the settings that differ. ConfigError without matplotlib.
     """
     figure, places = axes(3, 1, 10.0, 8.0, title, width_mm=width_mm, sharex=True)
-    was = {"color": GREY, "linewidth": 3.0, "label": "recorded"}  # seen below the other one
+    was = {"color": GREY, "linewidth": 3.0, "label": "recorded"}  # visible below the other one
     would = {"color": GREEN, "linewidth": 0.9, "label": changed}
     time_s = result.time_s
     recorded = result.recorded["force_n"]
