@@ -14,6 +14,7 @@ Whether the display would still be passive is asked of another process, and wait
 """
 
 from dataclasses import replace
+from functools import lru_cache
 from math import nan
 from typing import Any, NamedTuple
 
@@ -138,11 +139,16 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
+@lru_cache(8)  # the gateway asks several times a look, and the answer seldom changes
 def rendered(effective: tuple[float, ...]) -> Environment:
     """What is rendered by the doubles of an answer: its level acts only while it is on."""
     found = Environment().from_row(effective)
-    level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
-    return replace(found, active_damping_ns_per_m=level)
+    return replace(
+        found,
+        active_damping_ns_per_m=(
+            found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
+        ),
+    )
 
 
 def receipt(answer: Answer) -> dict[str, Any]:
