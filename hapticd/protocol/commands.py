@@ -143,12 +143,8 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 def rendered(effective: tuple[float, ...]) -> Environment:
     """What is rendered by the doubles of an answer: its level acts only while it is on."""
     found = Environment().from_row(effective)
-    return replace(
-        found,
-        active_damping_ns_per_m=(
-            found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
-        ),
-    )
+    level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
+    return replace(found, active_damping_ns_per_m=level)
 
 
 def receipt(answer: Answer) -> dict[str, Any]:
