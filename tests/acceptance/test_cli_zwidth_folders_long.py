@@ -5,6 +5,7 @@ draws where, Z(f) for others.
 import hashlib
 import json
 import shutil
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -175,6 +176,7 @@ def test_interrupted_drawing_says_that_the_result_is_kept(
 ) -> None:
     from hapticd.zwidth.report import style
 
+    monkeypatch.setattr("hapticd.cli.zwidth.map.REDRAW_S", inf)  # on a slow machine it draws before
     monkeypatch.setattr(style, "save", interrupted)
     code, _, err = run([*words, "--out", str(tmp_path)], capsys)
     assert code == 130
