@@ -172,7 +172,7 @@ lock: $(VENV)/check.stamp
 LOWEST_NAMES := settings_load settings_build gateway_server gateway_codec gateway_relay client client_aio console cli_terminal \
 	cli_daemon cli_bridge recording_file recording_live recording_pack report_trial report_envelope engine_compiled \
 	analysis_batch_spectra rig_device_file link_usb
-LOWEST := $(foreach name,$(LOWEST_NAMES),$(wildcard tests/*/test_$(name).py))
+LOWEST := $(foreach name,$(LOWEST_NAMES),$(wildcard tests/*/test_$(name).py tests/*/test_$(name)_long.py))
 test-lowest: deps-check $(VENV)/check.stamp
 	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
 	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct --editable '.[$(ALL)]' --group test --group check

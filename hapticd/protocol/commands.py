@@ -14,6 +14,7 @@ interlocks.
 """
 
 from dataclasses import replace
+from functools import lru_cache
 from math import nan
 from typing import Any, NamedTuple
 
@@ -137,6 +138,7 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
     }
 
 
+@lru_cache(8)  # the gateway asks several times a look, and the answer seldom changes
 def rendered(effective: tuple[float, ...]) -> Environment:
     """Return the environment in the doubles of an answer; its damping is 0 unless switched on."""
     found = Environment().from_row(effective)

@@ -173,9 +173,9 @@ class BoardModel:
             or axis
             or flags & UNKNOWN_FLAGS
             or count > frames.PROBE_MAX
+            or reserved
+            or tail != RESERVED
         ):
-            return self._refuse()
-        if reserved or tail != RESERVED:
             return self._refuse()
         if seq != self._next_seq and self._next_seq is not None:
             self._events |= SEQ_GAP

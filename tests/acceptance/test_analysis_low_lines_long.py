@@ -2,11 +2,23 @@
 resonance, however narrow, not friction, counts or noise of the probe.
 """
 
+import numpy as np
 import pytest
 from support import analysis_devices
-from support.analysis_low_lines import DRY, HEAVY, display, named, trial_records, with_line
+from support.analysis_low_lines import (
+    DRY,
+    HEAVY,
+    NOISE,
+    display,
+    named,
+    trial_records,
+    with_line,
+)
 
 from hapticd.model.effects import Coulomb, Encoder, SensorNoise
+from hapticd.signal.findings import Finding
+from hapticd.signal.resolved import hinted
+from hapticd.zwidth.outcomes import Conditions, run_trials
 
 
 @pytest.mark.parametrize("line_hz", [3.0, 5.0, 8.0, 11.3])
@@ -45,3 +57,21 @@ def test_what_the_perturbation_or_friction_moves_is_no_line(device, stiffness, m
     monkeypatch.setattr("hapticd.signal.resolved.hinted", lambda trial: True)
     for force, velocity in trial_records(device, stiffness, 4):
         assert named(force, velocity) == ()
+
+
+def test_a_batch_looks_at_its_records_where_they_hint(monkeypatch):
+    """As a trial alone does, on the record of the same trial."""
+    looked = []
+    cycle = Finding("oscillation", "a limit cycle", unstable=True)
+
+    def kept(force, velocity, spectra):
+        looked.append(force.size)
+        return (cycle,) if hinted(spectra) else ()
+
+    monkeypatch.setattr("hapticd.signal.assess.low_line", kept)
+    points = np.array([[50.0, 0.0, 0.0], [400.0, 0.0, 0.0]])
+    given = Conditions(display(0.3, mass_kg=0.023), 90.0, NOISE)
+    slow, fast = run_trials(given, 0.0, points)
+    assert set(looked) == {360_000}
+    assert slow.answer == "not_passive"
+    assert fast.answer == "passive"

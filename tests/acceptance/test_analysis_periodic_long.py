@@ -16,9 +16,11 @@ from support.analysis_periodic import (
     forces,
     simulated,
 )
+from support.spectral_trials import mass_damper
 
 from hapticd.signal.impedance import impedance
 from hapticd.signal.periodic import periodic, periodic_findings
+from hapticd.signal.verdict import judge
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +88,21 @@ def test_distortion_is_told_from_noise(rubbing):
     force = forces(8, 2)
     calm = periodic(force, answered(force, DEVICE, 5e-3), RATE_HZ)
     assert not list(periodic_findings(calm, BAND))
+
+
+def test_lossless_device_is_decided_in_one_of_twenty():
+    """Re Z = 0 everywhere: a verdict against the truth, either way, in at most 5 % of trials at
+    95 %.
+    """
+    force = forces(6, 1)
+    lossless = mass_damper(0.008, 0.0)
+    answers = [
+        judge(
+            periodic(force, answered(force, lossless, 5e-3, seed), RATE_HZ),
+            estimator="h_force",
+            channels=False,
+        ).answer
+        for seed in range(300)
+    ]
+    assert answers.count("not_passive") <= 0.05 * 300 + 2.0 * (0.05 * 0.95 * 300) ** 0.5
+    assert answers.count("passive") == 0

@@ -4,9 +4,21 @@ without noise and a prior.
 
 import numpy as np
 import pytest
-from support.analysis_search import BOX, INSIDE, SAMPLES, Oracle, W, directed_search, error
+from support.analysis_search import (
+    BOX,
+    INSIDE,
+    SAMPLES,
+    Oracle,
+    W,
+    directed_search,
+    error,
+)
 
-from hapticd.signal.search import Search, doubtful_share, predicted_passive
+from hapticd.signal.search import (
+    Search,
+    doubtful_share,
+    predicted_passive,
+)
 from hapticd.signal.surrogate import margin, margin_sd, resistance
 
 
@@ -97,3 +109,17 @@ def test_where_trials_escape_is_learnt_from_those_that_did(least):
     held = predicted_passive(found, SAMPLES)
     stable = headroom(SAMPLES) >= least
     assert np.mean(held != (Oracle().passive(SAMPLES) & stable)) / np.mean(held) < 0.05
+
+
+def test_unstable_trial_is_not_learnt_from_and_stays_out():
+    def oracle(environment):
+        return None if environment[0] > 500.0 else Oracle()(environment)
+
+    found = directed_search(oracle, Search(BOX), (200.0, 0.3, 0.001), budget=16)
+    assert len(found.trials) + len(found.unstable) == 16
+    assert found.unstable
+    assert not predicted_passive(found, found.unstable).any()
+    before = found.surrogate
+    after = found.with_trials([900.0, 1.0, 0.0], [None])
+    assert after.surrogate is before
+    assert len(after.unstable) == len(found.unstable) + 1

@@ -106,3 +106,12 @@ def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys
     told = capsys.readouterr().err
     assert "Signs are not verified yet" in told
     assert "start it again" not in told
+
+
+def test_temperature_writes_the_count_of_0_degrees(config, hand):
+    stated = ["rig", "temperature", "--at", "22", "--no-shake", "--config", str(config)]
+    assert main([*stated, "--yes", "--json"]) == 0
+    device = load(config).device
+    assert abs(device.temperature.offset_count) < 1.0
+    assert "temperature.offset_count" in device.temperature.source
+    assert "rig" not in device.emf_velocity.source

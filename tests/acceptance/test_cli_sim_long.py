@@ -59,3 +59,43 @@ def test_quick_accuracy_as_json_has_every_tier(
     assert sum(row["knee"] for row in found["rows"]) == 5
     assert found["integrators"]["longest_s"]["exact"] is None
     assert (found["unit"], found["quick"], found["simulated"]) == ("deg", True, True)
+
+
+def test_ceiling_over_the_winding_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = spoken(capsys, "sim", "ceiling", "fig7")
+    assert code == 0
+    assert "Largest stable active damping: no limit" in out
+    assert "The scene asks for 1.74 N s/m: loop gain g dR / K^2 = 0.0582, unstable at -1;" in out
+    assert "-0.3 is allowed." in out
+    assert "-40 K                             10.2" in out
+
+
+def test_ceiling_as_json_has_no_infinities(capsys: pytest.CaptureFixture[str]) -> None:
+    found = told(capsys, "sim", "ceiling", "fig7")
+    assert found["device"] is None
+    assert found["unit"] == "N s/m"
+    assert found["warmer"][0] == pytest.approx([-40.0, 10.17, 3.066], rel=0.01)
+
+
+def test_effects_propose_a_set(
+    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
+) -> None:
+    verb = (
+        "sim",
+        "effects",
+        mine,
+        "--for",
+        "phase",
+        "--tolerance",
+        "60 %",
+        "--seconds",
+        "5",
+        "--out",
+        str(tmp_path),
+    )
+    code, out, err = spoken(capsys, *verb)
+    assert code == 0
+    assert "without viscous" in out
+    assert "For phase within 60 % keep" in out
+    assert "mine-effects-phase.png" in err
+    assert (tmp_path / "mine-effects-phase.svg").is_file()

@@ -5,6 +5,7 @@ draws where, Z(f) for others.
 import hashlib
 import json
 import shutil
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -144,3 +145,42 @@ def test_interrupted_report_goes_on(
         f"{kept} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on"
         " there" in err
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["trial", "--seconds", "8", "--plot"],
+        [
+            "walls",
+            "--stiffness",
+            "50",
+            "100",
+            "2",
+            "--viscous",
+            "0",
+            "2",
+            "2",
+            "--active-damping",
+            "0",
+        ],
+        [*LIMITS[:-1], "--axis", "B"],
+        MAP[:-1],
+    ],
+)
+def test_interrupted_drawing_says_that_the_result_is_kept(
+    words: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from hapticd.zwidth.report import style
+
+    monkeypatch.setattr("hapticd.cli.zwidth.map.REDRAW_S", inf)  # on a slow machine it draws before
+    monkeypatch.setattr(style, "save", interrupted)
+    code, _, err = run([*words, "--out", str(tmp_path)], capsys)
+    assert code == 130
+    assert err.endswith(
+        f"interrupted: the result is kept in {tmp_path}, without all of its figures\n"
+    )
+    assert (tmp_path / "run.json").is_file()

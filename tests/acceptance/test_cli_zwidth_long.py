@@ -270,3 +270,69 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     }
     write_run(tmp_path, {"kind": "map"})
     assert {path.name for path in tmp_path.iterdir()} == {"run.json"}
+
+
+def test_trial_in_lockstep_is_the_whole_stack(tmp_path, capsys):
+    code, out, _ = run(["trial", "lockstep", "--seconds", "8", "--out", str(tmp_path)], capsys)
+    assert code == 0
+    assert out.startswith("SIMULATED lock-step, scene fig4")
+
+
+def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
+    from hapticd.zwidth import map
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(map, "run_map", interrupted)
+    code, _, err = run(["map", "--out", str(tmp_path / "m"), *SHORT], capsys)
+    assert code == 130
+    assert f"the same command with --out {tmp_path / 'm'} goes on there" in err
+
+
+def test_map_tells_outcomes_as_they_arrive(tmp_path, capsys):
+    code, out, _ = run(small_map(tmp_path, "--json"), capsys)
+    *outcomes, last = map(json.loads, out.splitlines())
+    assert code == 0
+    assert [set(outcome) for outcome in outcomes] == [OUTCOME] * 27
+    assert {outcome["type"] for outcome in outcomes} == {"outcome"}
+    kept = {tuple(line["environment"]): line for line in map(json.loads, trials(tmp_path))}
+    for outcome in outcomes:
+        assert {
+            name: kept[tuple(outcome["environment"])][name] for name in OUTCOME - {"type"}
+        }.items() <= outcome.items()
+    assert (last["ok"], last["made"], last["levels"][0]["tried"]) == (True, 27, 27)
+    _, again, _ = run(small_map(tmp_path, "--json"), capsys)
+    assert json.loads(again)["made"] == 0  # one line: what was kept is not told again
+
+
+def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.cli.zwidth import common
+
+    def left(new):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(common, "print_outcomes", left)
+    code, _, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 130
+    assert (
+        f"{len(trials(tmp_path))} trials are kept in {tmp_path}; the same command with --out"
+        f" {tmp_path} goes on there" in err
+    )
+
+
+def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.core.errors import HapticdError
+    from hapticd.zwidth import map
+
+    assert run(small_map(tmp_path), capsys)[0] == 0
+
+    def died(*_):
+        raise HapticdError("a worker process died")
+
+    monkeypatch.setattr(map, "run_map", died)
+    code, out, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 1
+    assert json.loads(out)["error"]["message"] == "a worker process died"
+    assert f"27 trials are kept in {tmp_path}; the same command" in err
+    assert "hapticd: a worker process died" in err

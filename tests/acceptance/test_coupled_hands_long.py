@@ -16,9 +16,15 @@ from support.coupled_hands import LEVEL, ROUNDING, called, hands
 
 from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from examples.weir2008.run import POINTS, SCENES, conditions
-from hapticd.model.coupled import coupled_radius, coupled_stable, destabilising_hand, held_by, reach
+from hapticd.model.coupled import (
+    coupled_radius,
+    coupled_stable,
+    destabilising_hand,
+    held_by,
+    reach,
+)
 from hapticd.model.linearise import Perturbation
-from hapticd.model.loop import PAPER_FILTERS, port_states, pulse_transfer
+from hapticd.model.loop import PAPER_FILTERS, port_states, pulse_transfer, spectral_radius
 from hapticd.model.predict import predict, with_equivalent_damping
 from hapticd.model.theorem import lifted_passive, lifted_system
 
@@ -153,3 +159,36 @@ def test_few_predictions_are_open_to_hands_and_with_little_margin(name, level, s
             assert at_hz < found.band_hz[0]
             assert hand.mass_kg[0] > 8.0
     assert shaken >= (1.0 if name == MAIN else 0.85) * len(exceptions)
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "count"),
+    [
+        (MAIN, 0.0, 20),
+        (MAIN, 1.74, 1500),
+        ("weir2008_probe_hp", 1.74, 800),
+        ("weir2008_literal", 1.74, 500),
+    ],
+)
+def test_no_called_environment_enters_it(name, level, count):
+    """By the lifted requirement, which safety decides on: all of them, no exception."""
+    _, _, lifted, points = called(name, level)
+    assert len(points) > count
+    assert coupled_stable(lifted, points).all()
+
+
+def test_whatever_a_hand_shakes_was_not_called():
+    """Ten times the set: many pairs are unstable only because of the hand, and none of them was
+    said to withstand it.
+    """
+    device = conditions(MAIN).display
+    random = np.random.default_rng(8)
+    points = random.uniform((0.0, -1.0, -0.03), (3000.0, 12.0, 0.05), (60, 3))
+    points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
+    holds = coupled_stable(lifted_system(device.model, ADDED_NS_PER_M, device.filters), points)
+    shaken = (
+        coupled_radius(device.model, points, hands()[:150], ADDED_NS_PER_M, device.filters)
+        > 1.0 + ROUNDING
+    )
+    assert shaken.sum() > 100
+    assert not shaken[:, holds].any()

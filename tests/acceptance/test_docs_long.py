@@ -17,6 +17,7 @@ from playwright.sync_api import sync_playwright
 from support.console_page import ARGUMENTS, CHROMIUM
 from support.docs import CODES, broken, page
 from support.tree import ROOT
+from test_docs import STATUS_KEYS, names_that_do_not_exist
 
 from hapticd.cli.app import command_line
 from hapticd.client import Client
@@ -257,3 +258,23 @@ def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> Non
     ]
     missing = [name for name in names if f"| `{name}` |" not in text]
     assert missing == ["injections", "touch", "hands"]
+
+
+def test_every_module_that_is_named_anywhere_exists() -> None:
+    """In pages, docstrings, comments and settings."""
+    settings = {".".join(map(str, path)) for path, _ in leaves(load(None).plain())}
+    settings |= STATUS_KEYS | {topic.name for topic in TOPICS}
+    pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
+    for folder, pattern in (
+        ("docs", "**/*.md"), ("docs", "pages/*.py"), ("hapticd", "**/*.py"), ("tests", "*.py"),
+        ("benchmarks", "*.py"), ("examples", "**/*"), ("config", "**/*.toml"), ("systemd", "*"),
+    ):  # fmt: skip
+        pages += sorted(ROOT.joinpath(folder).glob(pattern))
+    missing = [
+        f"{page.relative_to(ROOT)}:{number}: {name}"
+        for page in pages
+        if page != Path(__file__) and page.is_file() and page.suffix != ".pyc"
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        for name in names_that_do_not_exist(line, settings)
+    ]
+    assert missing == []

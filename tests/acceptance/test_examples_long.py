@@ -1,6 +1,7 @@
 """Examples run as they stand; those that need a daemon are in the process tests."""
 
 import importlib.util
+import itertools
 
 import pytest
 from support.examples import EXAMPLES, virtual
@@ -41,3 +42,8 @@ def test_jnd_finds_what_the_observer_notices_without_a_daemon(tmp_path):
     (line,) = virtual("jnd", tmp_path, "--simulated", "--pause", "0.05")
     assert 4.0 < float(line.split()[2]) < 36.0  # of 12 %, by eight reversals
     assert len((tmp_path / "jnd.csv").read_text().splitlines()) > 20
+
+
+def test_steps_act_at_their_ticks_without_a_daemon(tmp_path):
+    ticks = [int(line.split()[1].rstrip(",")) for line in virtual("steps", tmp_path)]
+    assert [after - before for before, after in itertools.pairwise(ticks)][2:5] == [500] * 3

@@ -29,6 +29,7 @@ from support.guard_device import shipped_setup
 from support.guard_stub import StubWorker, verdict
 from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
+from test_gateway_delivered import changed, failed
 
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import (
@@ -226,3 +227,58 @@ def test_judge_itself_says_what_is_needed(stiffness, ends):
     last = flight.records[-1]
     assert int(last["state"]) == (State.FAULT if ends else State.ENABLED)
     assert [one["kind"] for one in flight.journal.recent].count("warning") == 1
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3, 0.6])
+def test_circuit_that_delivers_less_is_found_and_told_once(gain):
+    found, lows = followed(*failed((("active_damping_gain", gain),)))
+    assert holds(found, circuit(gain * LEVEL))
+    assert found.high < 0.8 * LEVEL
+    assert [(low.warn, low.fault) for low in lows] == [(True, False)]
+    assert "delivered of 1.74 N s/m commanded" in lows[0].text
+
+
+def test_amplifier_that_stands_still_delivers_no_damping():
+    found, lows = followed(*failed((("amplifier_stuck", 0.2), ("active_damping_gain", 0.0))))
+    assert holds(found, 0.0)
+    assert len(lows) == 1
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.5])
+def test_gain_of_the_force_is_not_taken_for_damping(gain):
+    found, lows = followed(*failed((("amplifier_gain", gain),)))
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
+@pytest.mark.parametrize("name", ["position_m", "force_n"])
+def test_position_or_force_that_is_no_number_is_left_out(name):
+    servo, records = flown(ticks=6000, shaken_ticks=6000)
+    values = records[name].copy()
+    values[4000:4100:31] = np.nan
+    found, lows = followed(servo, changed(records, **{name: values}))
+    assert holds(found, circuit(LEVEL))
+    assert not lows
+
+
+def test_what_is_known_gets_old():
+    """At 3 s the current sensor stays at its end; 4 s later nothing is known any more."""
+    servo, records = flown(ticks=8000, shaken_ticks=8000)
+    current = records["current_a"].copy()
+    current[3000:] = 32767 * servo.device.current.per_count
+    stuck = changed(records, current_a=current)
+    assert holds(followed(servo, stuck[:3000])[0], circuit(LEVEL))
+    assert followed(servo, stuck)[0].estimate_ns_per_m is None
+
+
+def test_lost_frames_and_gaps_in_the_records_are_left_out():
+    losses = tuple(InjectionParams(kind, probability=0.01) for kind in ("drop_in", "drop_out"))
+    servo, records = flown(ticks=6000, shaken_ticks=6000, injections=losses)
+    delivered = Delivered(servo, lambda: None)
+    for start in range(0, 6000, 20):
+        if start % 1000 == 500:
+            delivered.forget()
+            continue
+        assert not delivered.take(records[start : start + 20])
+    assert holds(delivered.estimate, circuit(LEVEL))
+    assert delivered.estimate.seconds < 4.0

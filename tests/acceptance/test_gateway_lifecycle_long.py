@@ -3,15 +3,21 @@ come: force is only there for an enable that nothing took back.
 """
 
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from support.gateway_rig import CommandServerRig, packed
+from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from support.guard_stub import StubWorker, stage, verdict
+from test_gateway_lifecycle import STRICT, bounded, scheduled
 
+from hapticd.core.errors import MailboxError
 from hapticd.core.units import NS_PER_MS
+from hapticd.guard import terms
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.layout import State
 
@@ -102,3 +108,78 @@ TestLifecycle.settings = settings(
     derandomize=True,
     phases=(Phase.explicit, Phase.generate),
 )
+
+
+@pytest.fixture
+def worker() -> StubWorker:
+    return StubWorker()
+
+
+@pytest.fixture
+def rig(tmp_path: Path, worker: StubWorker) -> CommandServerRig:
+    rig = CommandServerRig(tmp_path, worker)
+    rig.run(MOST_RECORDS)
+    return rig
+
+
+def test_terms_that_could_not_be_kept_are_tried_again(
+    rig: CommandServerRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> None:
+        raise MailboxError("no room")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(terms, "write_terms", no_room)
+        rig.ask(cmd="guard", policy="refuse")
+        rig.run(2000)
+    warnings = [one for one in rig.journal.recent if "not kept" in one.get("text", "")]
+    assert len(warnings) == 1
+    rig.run(1100)
+    rig.start_gateway()
+    rig.run(5)
+    assert rig.guard.policy == "refuse"
+
+
+def test_client_numbers_go_on_with_the_next_gateway(rig: CommandServerRig) -> None:
+    first = rig.ask(b"a", cmd="hello", name="a")["result"]["actor"]
+    rig.start_gateway()
+    rig.run(2)
+    assert rig.ask(b"b", cmd="hello", name="b")["result"]["actor"] > first
+
+
+@pytest.fixture
+def flight() -> Iterator[Flight]:
+    flight = Flight()
+    yield flight
+    flight.stack.close()
+
+
+@pytest.mark.parametrize("policy", STRICT)
+def test_bounded_level_of_active_damping_ends_at_its_tick(flight: Flight, policy: str) -> None:
+    reply, begin = bounded(flight, policy, active_damping=LEVEL_NS_PER_M)
+    assert reply["ok"]
+    flight.worker.silent = True
+    records = flight.fly(400)
+    asked = records["active_damping_asked_ns_per_m"]
+    assert asked[records["tick"] == begin + 1] > 1.7
+    assert asked[records["tick"] == begin + 21] == 0.0
+
+
+def test_unsafe_bounded_change_is_refused_and_schedules_nothing(flight: Flight) -> None:
+    reply, _ = bounded(flight, "refuse", **STIFF)
+    assert reply["error"]["code"] == "guard"
+    records = flight.fly(200)
+    assert not records["stiffness_n_per_m"].any()
+    assert flight.stack.loop.state[0].plan.scheduled == ()
+
+
+def test_bounded_change_for_whose_end_there_is_no_room_does_not_begin(flight: Flight) -> None:
+    flight.ask(cmd="guard", policy="warn")
+    tick = flight.view.tick
+    for place in range(15):
+        assert flight.ask(cmd="set", K=1.0 + place, at_tick=tick + 2000 + place)["ok"]
+    begin = flight.view.tick + 50
+    reply = flight.ask(cmd="set", K=50.0, ramp_s=0.0, at_tick=begin, until_tick=begin + 20)
+    assert not reply["ok"]
+    assert len(scheduled(flight)) == 15
+    assert not flight.fly(200)["stiffness_n_per_m"].any()

@@ -9,8 +9,9 @@ import pytest
 from support.guard_attack import FEW, answering
 from support.whole_tick import SETTLED, Point
 
-from benchmarks.guard_attack import Found, attack, device
+from benchmarks.guard_attack import Found, attack, device, fly_one
 from benchmarks.guard_flight import plain_servo
+from benchmarks.guard_flown import flown
 from benchmarks.guard_requests import Guarded
 
 
@@ -149,3 +150,16 @@ def test_guard_that_lets_everything_pass_is_found_out() -> None:
     found = attack(FEW[:3], lambda request: answering("apply", request))
     assert len(found.unsafe) > 10
     assert not found.refused
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_flight_in_a_hand_that_shakes_what_lies_further_out_is_in_order(seed: int) -> None:
+    found = fly_one(seed)
+    assert found.points > 50
+    assert not found.wrong
+
+
+def test_flight_without_a_guard_is_not_in_order() -> None:
+    """The judge of flights is not blind itself."""
+    blind = flown(4, lambda request: answering("apply", request), device().bench)
+    assert blind.wrong

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from support.report_paper import drawn
 
 from hapticd.zwidth.report.paper import LEAST_PT, WIDTHS_MM, settle
-from hapticd.zwidth.report.style import save, styled
+from hapticd.zwidth.report.style import mosaic, save, styled
 
 
 def beyond_view(figure: Any) -> set[Any]:
@@ -96,3 +96,30 @@ def test_picture_is_as_wide_as_asked_at_300_dpi(tmp_path: Path) -> None:
     (pixels,) = struct.unpack(">I", png.read_bytes()[16:20])
     assert pixels == 1050  # 3.5 in
     assert b"/MediaBox [ 0 0 252 " in pdf.read_bytes()  # 3.5 in of 72 pt
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Any:
+    """In a column: a solid beside a plane with a bar of colours; below, words along an axis, and a
+    title over axes that long labels make narrow.
+    """
+    with styled():
+        rows = [["solid", "plane"], ["words", "narrow"]]
+        solid = {"solid": {"projection": "3d"}}
+        asked = (6.7, 6.0, "SIMULATED", WIDTHS_MM["column"], 2.2)
+        figure, panels = mosaic(rows, *asked, per_subplot_kw=solid)
+        painted = panels["plane"].pcolormesh(np.eye(4))
+        figure.colorbar(painted, ax=panels["plane"], label="K (N/m)")
+        panels["words"].set_xticks(range(3), ["without\nany", "with\nactive", "damping"])
+        panels["narrow"].set(title="damping below the corner", ylabel="a long label " * 6)
+        settle(figure)
+    return figure, panels
+
+
+def test_bar_of_colours_stays_at_its_panel(mixed: Any) -> None:
+    figure, panels = mixed
+    (bar,) = (one.get_position() for one in figure.axes if one.get_label() == "<colorbar>")
+    plane, solid = (panels[name].get_position(original=True) for name in ("plane", "solid"))
+    assert plane.y1 < solid.y0  # one below the other: beside each other they would be narrow
+    assert plane.x1 < bar.x0
+    assert (bar.y0, bar.y1) == pytest.approx((plane.y0, plane.y1), abs=1e-6)

@@ -28,6 +28,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
+from hapticd.rig.experiment import push, ready
 from hapticd.rig.steps.coast_down import fit_momentum
 from hapticd.rig.steps.damping import measure
 from hapticd.settings.load import load
@@ -213,3 +214,28 @@ def test_authority_that_is_lost_ends_the_step():
             measure(hand.bench, nothing)
         assert pressed
         assert not as_records(hand.bench.run(50))["force_n"].any()
+
+
+def test_a_handle_that_is_held_is_refused():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.held_m = 0.0
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status().state == "disabled"
+    assert not result.settled
+    assert "let the handle go" in result.findings[0].remedy
+
+
+def test_a_host_that_takes_its_time_gets_more_of_it():
+    """Each request takes a third of a second, which is more than the shortest lead."""
+    with Hand(touch=FRICTION, **FREE) as hand:
+        bench = hand.bench
+
+        def slow(**fields):
+            bench.run(333)
+            return type(bench).set(bench, **fields)
+
+        with ready(bench):
+            bench.set = slow
+            found = push(bench, 0.2, 0.02, 0.3)
+        assert np.count_nonzero(found.records["force_n"]) == 20
+        assert found.moved_m > 1e-4

@@ -6,9 +6,10 @@ from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
-from hapticd.core.errors import HapticdError
+from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.protocol.view import as_records
+from hapticd.rig.estimate import line
 from hapticd.rig.steps.motor import (
     measure_gain,
     measure_sign,
@@ -94,3 +95,34 @@ def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
         worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
         assert 0.0 < worst_n <= LIMIT_N + COUNT_N
         assert hand.bench.status().state == "disabled"
+
+
+def test_a_handle_that_goes_the_same_way_both_times_is_refused():
+    """A hand on it pushes down with 0.2 N whenever it feels something."""
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        hand.reflex_n = -0.2
+        result = measure_sign(hand.bench, nothing)
+        assert not result.settled
+        assert not result.changes
+        assert "same way" in result.findings[-1].what
+
+
+def test_a_handle_that_is_moved_is_not_pushed():
+    with Hand({"commissioning": True}) as hand:
+        hand.pull_n = 0.001
+        with pytest.raises(AnalysisError, match="take your hand off"):
+            measure_sign(hand.bench, nothing)
+        assert hand.bench.status().state == "disabled"
+
+
+def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
+    random = np.random.default_rng(3)
+    x = np.linspace(0.0, 1.0, 5)
+    slopes = intercepts = 0
+    for _ in range(1000):
+        found = line(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
+        inside = np.abs(found.values - (2.0, 0.5)) <= found.halves
+        slopes += inside[0]
+        intercepts += inside[1]
+    assert 930 <= slopes <= 970
+    assert 930 <= intercepts <= 970

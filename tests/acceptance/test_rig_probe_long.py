@@ -99,3 +99,19 @@ def test_ctrl_c_ends_perturbation_and_force():
         hand.bench.run(5)
         assert hand.bench.status().state == "disabled"
         assert not hand.bench.newest["perturbing"]
+
+
+def test_authority_that_is_lost_ends_the_step():
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def pressed(cmd, **fields):
+            answer = type(hand.bench).call(hand.bench, cmd, **fields)
+            if fields.get("action") == "start":
+                hand.axis.press_stop(True)
+            return answer
+
+        hand.bench.call = pressed
+        with pytest.raises(AnalysisError, match="force ended meanwhile"):
+            sine_run(hand.bench)
+        assert hand.bench.status().state == "fault"
+        assert not hand.bench.newest["perturbing"]

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 from support.security import called, sources
+from test_security import calls
 
 # what can make a program of data, and where it is let in: all inside one user's own processes
 RUNS_DATA = {
@@ -47,3 +48,14 @@ def test_what_can_run_data_is_imported_where_one_user_owns_both_ends(
     name: str, places: tuple[str, ...]
 ) -> None:
     assert importers(name) == list(places)
+
+
+UNPICKLES = ("recv_pyobj", "send_pyobj", "read_pickle", "to_pickle")
+
+
+def test_nothing_is_unpickled_by_the_way() -> None:
+    assert calls(*UNPICKLES) == []
+    for place, node in calls("load"):
+        if ast.unparse(node.func).startswith("np."):
+            words = {word.arg: ast.unparse(word.value) for word in node.keywords}
+            assert words.get("allow_pickle") == "False", f"{place}: {ast.unparse(node)}"

@@ -3,17 +3,21 @@ board do. The winding itself is integrated here, by its differential equation al
 """
 
 from dataclasses import replace
+from random import Random
 
 import numpy as np
 import pytest
-from support.servo_compensation import Warm, copper, params
+from support.servo_compensation import ABLE, COUNT_OHM, Warm, copper, params
+from test_servo_compensation import BLIND
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
-from hapticd.core.params import HandParams, TouchParams
+from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import LockStep
+from hapticd.run.replay import Segment, replay
 from hapticd.servo.plan import (
     SETTLED,
+    flatten,
 )
 from hapticd.usb import codec
 
@@ -83,3 +87,46 @@ def test_delivered_damping_and_force_stay_within_two_percent_while_the_winding_h
     for one in moments:
         assert one.active_damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
         assert one.torque_gain == pytest.approx(gain, rel=0.01)
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_winding_is_never_compensated_further_than_it_has(blind):
+    """200 windings anywhere inside what the device file calls possible, at random currents."""
+    random = Random(5)
+    host = BLIND if blind else ABLE
+    for _ in range(200):
+        scale = [random.uniform(0.9, 1.1), random.uniform(0.9, 1.1), random.uniform(15.0, 25.0)]
+        warm = Warm(params(), 8.0 * scale[0], 10.0 * scale[1], scale[2])
+        ampere = 0.0
+        for step in range(300):
+            if step % 60 == 0:
+                ampere = random.choice((0.0, 1.0, 2.0, 3.0))
+            warm.look(ampere, host=host)
+        assert warm.least > (0.03 if blind else 0.02)
+
+
+def test_replay_of_a_flight_sends_the_same_counts():
+    with LockStep(*device()) as stack:
+        start = flatten(stack.loop.state)
+        records = np.frombuffer(stack.run(3000), dtype=RECORD)
+    again = replay(device()[0], Segment(0, start, records, ()))
+    assert records["resistance_count"][-1] > 2500
+    assert again["resistance_count"].tolist() == records["resistance_count"].tolist()
+    assert again["torque"].tolist() == [
+        codec.decode_out(bytes(one)).torque for one in records["out_frame"]
+    ]
+
+
+def test_board_that_restarts_is_compensated_anew():
+    away = InjectionParams("restart", tick=3000)
+    servo, board = device()
+    with LockStep(servo, replace(board, injections=(away,))) as stack:
+        ticks = np.frombuffer(stack.run(5000), dtype=RECORD)
+    counts = ticks["resistance_count"].astype(int)
+    assert counts[2990] > 2500
+    after = counts[3000:3100]
+    assert 0 in after
+    first = 3000 + int(np.flatnonzero(after == 0)[0])
+    steps = np.diff(counts[first:])
+    assert steps.max() * COUNT_OHM <= 0.1 * 0.151
+    assert counts[-1] == pytest.approx(counts[2990], abs=2)

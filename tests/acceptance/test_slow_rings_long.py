@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support.analysis_resolved import NOISE, T, display, least_resistance, outcomes
+from test_slow_rings import spring, verdict
 
 from hapticd.model.compose import compose
 from hapticd.model.loop import spectral_radius
@@ -140,10 +141,10 @@ def test_ring_is_measured_within_five_percent(singles):
 def test_undecided_single_trial_says_how_long_to_take(singles):
     undecided = [one for one in singles if one.verdict.answer == "undecided"]
     assert len(undecided) >= 3
-    for verdict, ring_s, _ in undecided:
-        assert verdict.seconds_needed > max(90.0, 0.95 * RINGS * ring_s)
-        (short,) = (one for one in verdict.findings if one.code == "short_record")
-        assert f"take {two_digits(verdict.seconds_needed)} s" in short.message
+    for found, ring_s, _ in undecided:
+        assert found.seconds_needed > max(90.0, 0.95 * RINGS * ring_s)
+        (short,) = (one for one in found.findings if one.code == "short_record")
+        assert f"take {two_digits(found.seconds_needed)} s" in short.message
 
 
 @pytest.mark.slow
@@ -156,3 +157,17 @@ def test_batches_find_every_loop_that_runs_away():
         for found in outcomes(device, springs, seed)
     ]
     assert Counter(answers) == {"not_passive": 64}
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "viscous", "seed"), [(0.093, 0.11, 4), (0.043, 0.05, 8)], ids=["93 g", "43 g"]
+)
+def test_record_that_ends_loud_is_undecided_and_says_how_long_to_take(mass_kg, viscous, seed):
+    """It has more than 8 rings, but its end explains more of the motion than it should."""
+    stiffness = spring(mass_kg, viscous, 11.0)
+    found = verdict(display(viscous, mass_kg=mass_kg), stiffness, seed)
+    (short,) = (one for one in found.findings if one.code == "short_record")
+    assert (found.answer, found.stability) == ("undecided", "stable")
+    assert 90.0 < found.seconds_needed < 180.0
+    assert "rings for 11 s: the record of 90 s is shorter than" in short.message
+    assert short.message.endswith(f"rings; take {two_digits(found.seconds_needed)} s")

@@ -5,6 +5,8 @@ nothing when it is interrupted.
 import csv
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,3 +162,14 @@ def test_documentation_has_every_figure(quick: ReproduceResult) -> None:
     drawn = {drawing.name for section in sections(quick) for drawing in section.drawings}
     assert {Path(name).stem for name in shown} >= drawn | {"fig02"}
     assert all((DOCS / name).stat().st_size < 100_000 for name in shown)
+
+
+def test_page_of_trials_refuses_a_prediction(tmp_path: Path) -> None:
+    (tmp_path / "table.json").write_text('{"quick": true, "table": []}')
+    before = (DOCS / "reproduction.md").read_text()
+    done = subprocess.run(
+        [sys.executable, str(DOCS / "reproduce.py"), str(tmp_path)], capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "predicted with --quick; the page tells of trials: run it without" in done.stderr
+    assert (DOCS / "reproduction.md").read_text() == before

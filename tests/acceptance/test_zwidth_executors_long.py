@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from support.measured_scenes import MOTOR, scene
-from support.zwidth_executors import made, refuse, same_error
+from support.zwidth_executors import SHORT, made, refuse, same_error
 
-from hapticd.core.errors import CommandError, HapticdError
+from hapticd.core.errors import (
+    CommandError,
+    HapticdError,
+)
 from hapticd.model.effects import Masses, ProbeMass, Viscous
 from hapticd.signal import assess
+from hapticd.zwidth import executors
 from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, run_trials
@@ -89,3 +93,19 @@ def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.Monkey
     assert len(again) > TOGETHER
     alone = [one for part in np.array_split(points, 5) for one in run_trials(given, 0.0, part)]
     assert to_json([vars(one) for one in together]) == to_json([vars(one) for one in alone])
+
+
+def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hapticd.zwidth.engine import batch
+
+    asked: list[int] = []
+
+    class Counted(batch.ThreadPoolExecutor):
+        def __init__(self, max_workers: int) -> None:
+            asked.append(max_workers)
+            super().__init__(max_workers=max_workers)
+
+    monkeypatch.setattr(batch, "ThreadPoolExecutor", Counted)
+    points = np.zeros((200, 3))  # several groups of lanes
+    executors.alone(run_trials, SHORT, 0.0, points)
+    assert asked == [1]

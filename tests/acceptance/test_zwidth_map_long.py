@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.zwidth_map import conditions
+from test_zwidth_map import AXES
 
+from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import grid
+from hapticd.signal.passive_set import grid, open_ends, passive_set, set_limits
 from hapticd.signal.search import first_trials, predicted_passive
 from hapticd.signal.surrogate import Box
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
-from hapticd.zwidth.map import MapParams, plan_map, run_map
+from hapticd.zwidth.map import MapParams, kept_map, plan_map, run_map
 from hapticd.zwidth.outcomes import (
     Conditions,
     TrialBatch,
@@ -131,3 +133,99 @@ def test_search_beats_the_prediction_that_it_began_from():
     escaped = [step.outcome.environment for step in result.steps if not step.teaches]
     assert escaped
     assert not any(tuple(trial.environment) in escaped for trial in result.search.trials)
+
+
+def test_friction_makes_limits_fall_with_amplitude():
+    """Most of the undamped display's damping is Coulomb friction, which counts for less the
+    more it moves (physics, 11b).
+    """
+    scene = load_scene("fig4")
+    plan = plan_limits(
+        LimitsParams(conditions(scene), levels=(0.0,), amplitudes=(1.0, 4.0), axes=(1,))
+    )
+    low, high = run_limits(plan, TrialStore(None)).limits
+    assert high.value < 0.8 * low.value
+    assert high.perturbation_psd == pytest.approx(16 * low.perturbation_psd)
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"everywhere": True}, {"refine": 1}], ids=["near", "everywhere", "refined"]
+)
+def test_map_of_its_kept_trials_is_the_map_that_was_flown(tmp_path, more):
+    """Also those far from the boundary, simulated with one sub-step, and those of a finer grid."""
+    axes = (np.linspace(0.0, 3000.0, 3), np.linspace(0.0, 3.0, 3), np.array([-0.004, 0.0]))
+    plan, path = (
+        plan_map(MapParams(conditions(), axes, (0.0, 1.74), **more)),
+        tmp_path / "trials.jsonl",
+    )
+    flown, kept = run_map(plan, TrialStore(path)), kept_map(plan, TrialStore(path))
+    assert kept.made == 0
+    assert kept.judged == flown.judged
+    for ours, theirs in zip(kept.levels, flown.levels, strict=True):
+        assert np.array_equal(ours.found.margin, theirs.found.margin, equal_nan=True)
+        assert np.array_equal(ours.tried, theirs.tried)
+        assert ours.disagreements == theirs.disagreements
+
+
+def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():
+    plan = plan_map(MapParams(conditions(), AXES, (0.0,)))
+    assert 0 < plan.trials < 96
+    (level,) = run_map(plan, TrialStore(None)).levels
+    assert int(level.tried.sum()) == plan.trials
+    assert level.disagreements <= 0.15 * plan.trials
+    predicted = passive_set(AXES, plan.levels[0].prediction.decided_margin)
+    assert set_limits(level.found).virtual_damping == set_limits(predicted).virtual_damping
+    everywhere = plan_map(MapParams(conditions(), AXES, (0.0,), everywhere=True))
+    assert everywhere.trials == 96
+    (full,) = run_map(everywhere, TrialStore(None)).levels
+    assert np.mean(full.found.passive == level.found.passive) > 0.97
+
+
+def test_refinement_halves_the_grid_at_the_boundary():
+    """At K = M = 0 the set ends at B = 2.18 N s/m: between 1.5 and 3 there is one more trial,
+    and it fails.
+    """
+    axes = (np.array([0.0, 100.0]), np.array([0.0, 1.5, 3.0]), np.array([0.0, 0.0005]))
+    coarse = plan_map(MapParams(conditions(seconds=60.0), axes, (0.0,), everywhere=True))
+    finer = replace(coarse, params=replace(coarse.params, refine=1))
+    (level,) = run_map(finer, TrialStore(None)).levels
+    on_grid = {tuple(point) for point in coarse.levels[0].prediction.points.tolist()}
+    added = {
+        outcome.environment: outcome.passes
+        for outcome in level.outcomes
+        if outcome.environment not in on_grid
+    }
+    assert added[(0.0, 2.25, 0.0)] is False
+    assert all(b == 2.25 for _, b, _ in added)
+    assert level.found.axes[1].tolist() == [0.0, 0.75, 1.5, 2.25, 3.0]
+    told = {outcome.environment: outcome.margin_ns_per_m for outcome in level.outcomes}
+    assert level.found.margin[0, 3, 0] == -abs(
+        told[0.0, 2.25, 0.0]
+    )  # between a pass and a failure: the trial's
+    assert level.found.passive[0, 1, 0]  # between two passes
+    assert int(level.tried.sum()) == len(level.outcomes)
+
+
+def test_search_beside_an_active_display_says_so():
+    plan = plan_search(
+        SearchParams(conditions(), 0.0, box=Box((0.0, -9.0, -0.001), (4000.0, 0.01, 0.001)))
+    )
+    with pytest.raises(AnalysisError, match=r"next to K = B = M = 0 was not stable"):
+        run_search(plan, TrialStore(None))
+
+
+@pytest.mark.parametrize("level", [0.0, 1.74])
+def test_box_of_a_search_holds_the_predicted_set(level):
+    """At 1.6 times the negative limit of M the ideal display is still passive."""
+    plan = plan_search(SearchParams(conditions(), level))
+    sides = [np.linspace(*ends, 12) for ends in zip(plan.box.low, plan.box.high, strict=True)]
+    predicted = conditions().display.predicted(grid(sides), level)
+    assert open_ends(passive_set(sides, predicted.decided_margin)) == ("B min",)
+
+
+def test_set_that_goes_on_beyond_the_box_is_marked_open():
+    box = Box((0.0, 0.0, -0.006), (400.0, 3.0, 0.003))
+    params = SearchParams(conditions(seconds=10.0), 0.0, budget=4, box=box)
+    found = run_search(plan_search(params), TrialStore(None))
+    assert found.plan.box == box
+    assert found.open_ends == ("K max", "B min", "M max")

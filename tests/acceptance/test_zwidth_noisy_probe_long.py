@@ -4,6 +4,7 @@ The device is linear and narrow: some verdicts need the record, which is then ma
 """
 
 from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from support.zwidth_noisy_probe import GIVEN, POINTS
 
 from hapticd.core.arrays import Floats
 from hapticd.zwidth.executors import executor
+from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import Outcome, run_trials
-from hapticd.zwidth.store import to_json
+from hapticd.zwidth.store import TrialStore, to_json
 
 
 def told(found: list[Outcome]) -> list[str]:
@@ -39,3 +41,17 @@ def spread(pool: Executor | None, parts: list[Floats]) -> list[str]:
             return spread(threads, parts)
     tasks = [pool.submit(run_trials, GIVEN, 0.0, part) for part in parts]
     return told([one for task in tasks for one in task.result()])
+
+
+def test_a_map_that_goes_on_is_the_map_that_was_not_interrupted(tmp_path: Path) -> None:
+    axes = (np.linspace(0.0, 900.0, 4), np.linspace(0.0, 0.6, 3), np.linspace(0.0, 0.002, 2))
+    plan = plan_map(MapParams(GIVEN, axes, (0.0,), everywhere=True))
+    whole = TrialStore(None)
+    run_map(plan, whole)
+    path = tmp_path / "trials.jsonl"
+    TrialStore(path).add(list(to_json(whole.known).items())[::3])
+    made = run_map(plan, TrialStore(path)).made
+    assert 0 < made < plan.trials
+    known = to_json(whole.known)
+    assert to_json(TrialStore(path).known) == {key: known[key] for key in TrialStore(path).known}
+    assert len(TrialStore(path).known) == plan.trials

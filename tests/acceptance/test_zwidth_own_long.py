@@ -188,3 +188,30 @@ def test_damaged_recording_is_read_or_refused_in_words(name, files, tmp_path):
         (tmp_path / name).write_bytes(damaged)
         with contextlib.suppress(HapticdError):
             read_file(tmp_path / name)
+
+
+@pytest.mark.parametrize("source", ["engine", "lockstep"])
+def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_path, capsys):
+    words = [
+        "zwidth",
+        "trial",
+        source,
+        "-K",
+        "50",
+        "--seconds",
+        "4",
+        "--json",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert (
+        f"simulates K 50 N/m, B 0 N s/m, M 0 kg, active damping 0 N s/m by the {source},"
+        " device weir2008 of scene fig4" in told.err
+    )
+    assert json.loads(told.out)["environment"] == {
+        "stiffness_n_per_m": 50.0,
+        "virtual_damping_ns_per_m": 0.0,
+        "mass_kg": 0.0,
+    }

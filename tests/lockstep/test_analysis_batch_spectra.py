@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hapticd.core.arrays import aligned
-from hapticd.signal import batch_spectra
 from hapticd.signal.batch_spectra import LAG, BatchSections, shared_force
 from hapticd.signal.spectra import spa
 
@@ -36,25 +35,6 @@ def analysed(force, velocity, scalar):
         rows[: WIDTH * part.shape[1] : WIDTH] = part.T
         sums.add(block, place)
     return sums
-
-
-def test_sections_together_are_those_one_by_one(monkeypatch):
-    force, velocity = trials(9 * LAG + 700, COUNTS[np.float32])
-    monkeypatch.setattr(batch_spectra, "TOGETHER", 1)
-    one_by_one = analysed(force, velocity, np.float32)
-    for together in (2, 3, 8, 11):
-        monkeypatch.setattr(batch_spectra, "TOGETHER", together)
-        some = analysed(force, velocity, np.float32)
-        for found, expected in zip(some.spectra(), one_by_one.spectra(), strict=True):
-            assert np.array_equal(found, expected)
-        assert np.array_equal(some.squares, one_by_one.squares)
-
-
-def test_a_section_after_the_end_is_refused():
-    force, velocity = trials(2 * LAG, COUNTS[np.float64])
-    sums = analysed(force, velocity, np.float64)
-    with pytest.raises(ValueError, match="section 3: the record has 2"):
-        sums.add(aligned(LAG * len(velocity), np.float64), np.arange(LAG) * 2)
 
 
 @pytest.mark.parametrize("n_samples", [LAG + 1, 2 * LAG, 2 * LAG + 1, 5 * LAG - 1, 9 * LAG + 700])

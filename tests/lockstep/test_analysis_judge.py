@@ -73,21 +73,6 @@ def test_clamp_goes_as_far_as_the_first_exit() -> None:
     assert not change(judge, {"K": 1.02 * given})["verdict"]["safe"]
 
 
-def test_clamped_damping_goes_to_the_first_exit_and_not_to_a_kept_level() -> None:
-    """Also when it stands at a kept level already: what is left of the way is not nothing."""
-    judge = shipped_judge()
-    shown = {"K": 500.0, "B": 2.0}
-    for present in (1.74, 1.43):
-        answer = change(
-            judge, {"active_damping": 0.0}, policy="clamp", now=shown | {"active_damping": present}
-        )
-        given = answer["verdict"]["given"]["active_damping"]
-        assert change(judge, {}, now=shown | {"active_damping": given})["verdict"]["safe"]
-        assert not change(judge, {}, now=shown | {"active_damping": given - 0.03})["verdict"][
-            "safe"
-        ]
-
-
 def test_what_a_clamp_leaves_is_judged_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clamp that is too generous gives nothing."""
     monkeypatch.setattr(policies, "_largest", lambda holds, shares: 0.9)
@@ -320,13 +305,6 @@ def test_level_is_bounded_by_the_ceiling() -> None:
     judge = Judge(setup_of(rigid(), ceiling=3.0))
     answer = change(judge, {}, mode="level", level=50.0)
     assert stages_of(answer) == [{"active_damping": 3.0}]
-
-
-def test_same_requests_have_the_same_answers() -> None:
-    asked = {"K": 150.0, "B": 1.0, "active_damping": LEVEL}
-    first = change(Judge(shipped_judge().setup), asked)
-    second = change(Judge(shipped_judge().setup), asked)
-    assert first == second
 
 
 def test_a_number_that_is_not_finite_is_an_error() -> None:

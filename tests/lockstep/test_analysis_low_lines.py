@@ -8,19 +8,15 @@ from support import analysis_devices
 from support.analysis_low_lines import (
     DRY,
     HEAVY,
-    NOISE,
     RATE_HZ,
-    display,
     named,
     trial_records,
     with_line,
 )
 
 from hapticd.core.arrays import Floats
-from hapticd.signal.findings import Finding
 from hapticd.signal.resolved import hinted
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialParams, TrialResult, judged, plan_trial
@@ -75,21 +71,3 @@ def test_a_verdict_names_it_and_calls_a_strong_one_unstable():
     strong = of_trial(with_line(velocity, 5.0, 0.6), force).verdict
     assert "oscillation at 5" in str(strong)
     assert strong.answer == "not_passive"
-
-
-def test_a_batch_looks_at_its_records_where_they_hint(monkeypatch):
-    """As a trial alone does, on the record of the same trial."""
-    looked = []
-    cycle = Finding("oscillation", "a limit cycle", unstable=True)
-
-    def kept(force, velocity, spectra):
-        looked.append(force.size)
-        return (cycle,) if hinted(spectra) else ()
-
-    monkeypatch.setattr("hapticd.signal.assess.low_line", kept)
-    points = np.array([[50.0, 0.0, 0.0], [400.0, 0.0, 0.0]])
-    given = Conditions(display(0.3, mass_kg=0.023), 90.0, NOISE)
-    slow, fast = run_trials(given, 0.0, points)
-    assert set(looked) == {360_000}
-    assert slow.answer == "not_passive"
-    assert fast.answer == "passive"

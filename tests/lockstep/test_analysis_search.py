@@ -24,7 +24,6 @@ from hapticd.signal.search import (
     first_trials,
     least_headroom,
     next_trials,
-    predicted_passive,
 )
 from hapticd.signal.surrogate import Observation, fit, log_chance, margin, resistance
 
@@ -74,20 +73,6 @@ def test_stability_narrows_the_set():
     )
     assert points[:, 0].max() == pytest.approx(400.0, abs=2.0)
     assert next_trials(search, 20)[:, 0].max() > 800.0
-
-
-def test_unstable_trial_is_not_learnt_from_and_stays_out():
-    def oracle(environment):
-        return None if environment[0] > 500.0 else Oracle()(environment)
-
-    found = directed_search(oracle, Search(BOX), (200.0, 0.3, 0.001), budget=16)
-    assert len(found.trials) + len(found.unstable) == 16
-    assert found.unstable
-    assert not predicted_passive(found, found.unstable).any()
-    before = found.surrogate
-    after = found.with_trials([900.0, 1.0, 0.0], [None])
-    assert after.surrogate is before
-    assert len(after.unstable) == len(found.unstable) + 1
 
 
 @pytest.mark.parametrize(

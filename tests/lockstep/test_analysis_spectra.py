@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.octave.run import GOLDEN, record, spa_by_octave
-from support.programs import octave_with_signal
 
 from hapticd.core.errors import AnalysisError
 from hapticd.signal import covariances
@@ -135,14 +134,6 @@ def test_golden_file_of_octave():
         golden["rate_hz"],
         np.array(golden["columns"]).T,
     )
-
-
-@pytest.mark.parametrize(("n_samples", "lag"), [(5000, 100), (20_000, 1024)])
-def test_octave_agrees_live(n_samples, lag):
-    octave_with_signal()
-    force, velocity = record(n_samples, n_samples)
-    columns = spa_by_octave(force, velocity, lag, RATE_HZ)
-    compare_with_octave(force, velocity, lag, RATE_HZ, columns)
 
 
 def compare_with_octave(force, velocity, lag, rate_hz, columns):

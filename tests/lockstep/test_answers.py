@@ -76,28 +76,6 @@ def whole_guard(board: Any) -> dict[str, Any]:
     return plain | {"verdict": looked["verdict"], "timing": looked["timing"]}
 
 
-def within(sent: Any, made: Any) -> bool:
-    """Whether `made`, of an answer, holds what was `sent`, and at most defaults beside it."""
-    if isinstance(sent, dict) and isinstance(made, dict):
-        return all(name in made and within(value, made[name]) for name, value in sent.items())
-    if isinstance(sent, list) and isinstance(made, list) and len(sent) == len(made):
-        return all(map(within, sent, made))
-    return bool(sent == made)
-
-
-@pytest.mark.parametrize(
-    ("cmd", "kind"),
-    [("hello", Hello), ("get", Get), ("status", Status), ("guard", GuardStatus)],
-)
-def test_answer_has_every_field_that_is_sent(board: Any, cmd: str, kind: Any) -> None:
-    plain = sent(board, cmd)
-    assert plain.keys() <= names(kind)
-    answer = answer_of(kind, plain)
-    there = json.loads(json.dumps(dataclasses.asdict(answer)))
-    for name, value in json.loads(json.dumps(plain)).items():
-        assert within(value, there[name]), name
-
-
 def test_nested_answers_have_every_field_that_is_sent(board: Any) -> None:
     assert sent(board, "get")["in_force"].keys() == names(answers.InForce)
     assert sent(board, "guard")["delays"].keys() == names(answers.Delays)

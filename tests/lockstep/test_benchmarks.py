@@ -20,9 +20,6 @@ from benchmarks import run, targets
 from benchmarks.bare import BareLoop, EmptyBoard
 from benchmarks.bench_servo import read_parameters
 from benchmarks.blocks import median_quantile, quantile
-from benchmarks.engine_c import CReference as CScene
-from benchmarks.engine_c import check_same
-from benchmarks.engine_scene import Lanes, model
 from benchmarks.fault_ticks import CASES
 from benchmarks.figures import Figure, compared, judge, load, merge, refused, save
 from benchmarks.late import fisher_p
@@ -36,10 +33,8 @@ from benchmarks.worker import BenchError
 from hapticd.core.environment import Environment
 from hapticd.core.errors import DaemonDown
 from hapticd.mailbox import layout
-from hapticd.model.compose import compose
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.settings.build import board_params, servo_params
-from hapticd.settings.scene import load_scene
 from hapticd.usb import codec, frames
 
 PROMISED = {
@@ -389,27 +384,6 @@ def test_c_yardstick_fills_the_same_record(tmp_path: Path) -> None:
     CReference(
         compile_library(tmp_path), servo_params(settings(), "bench")
     )  # refuses other sizes than layout.RECORD
-
-
-@pytest.mark.parametrize(("scene", "substeps"), [(None, 1), ("fig7", 1), ("fig7", 4)])
-def test_c_of_a_scene_moves_as_the_engine(scene: str | None, substeps: int) -> None:
-    device = model() if scene is None else compose(load_scene(scene))
-    ours = Lanes(
-        device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74
-    )
-    theirs = CScene(ours, "f64", 8)
-    check_same(ours, theirs, "f64")
-    theirs.scene[1] *= 1.01  # how a velocity moves a position: row 0 of the map
-    with pytest.raises(
-        BenchError, match=r"engine_reference\.c moves otherwise than the engine, by .*; correct it"
-    ):
-        check_same(
-            Lanes(
-                device, "f64", 64, substeps=substeps, level_ns_per_m=0.0 if scene is None else 1.74
-            ),
-            theirs,
-            "f64",
-        )
 
 
 def test_yardstick_of_other_work_is_refused() -> None:

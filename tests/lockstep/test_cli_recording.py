@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import pytest
-from support.boards import board_params
 from support.recorded import RecordedFlight, Source
 
 from hapticd.cli import daemon, recording
 from hapticd.cli.app import main
 from hapticd.core import process
 from hapticd.core.clock import VirtualClock
-from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_S
-from hapticd.protocol.flight import flights_folder
 from hapticd.recording import recorder
 
 
@@ -127,35 +124,6 @@ def test_replay_is_bit_exact(file: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "figures" not in told
 
 
-def test_replay_with_other_settings_draws_both(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert (
-        main(
-            [
-                *("replay", str(file), "--set", "B=5", "--set", "active_damping=0"),
-                *("--set", "filters.velocity_hz=60", "--set", "filters.acceleration_hz=60"),
-            ]
-        )
-        == 0
-    )
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-3:] == [
-        str(file.with_name("run-replay.png")),
-        str(file.with_name("run-replay.svg")),
-        str(file.with_name("run-replay.pdf")),
-    ]
-    assert all(Path(line).stat().st_size > 10_000 for line in lines[-3:])
-    assert any(line.startswith("force replayed") for line in lines)
-    assert "with B=5, active_damping=0, " in lines[0]
-    assert "the force is another from tick" in lines[0]
-    assert any(line.startswith("left out: ") for line in lines)
-    assert not any(" was " in line for line in lines)  # that B is 5 was asked for
-    svg = Path(lines[-2]).read_text()
-    assert "SIMULATED" in svg
-    assert "B=5, active_damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
-
-
 def test_replay_without_force_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,20 +166,3 @@ def test_dump_that_never_comes_fails(
     client.dumped = {"path": str(tmp_path / "x.flight"), "records": 12, "reason": "asked"}  # type: ignore[attr-defined]
     assert main(["dump"]) == 1
     assert "was not written within 0 s" in capsys.readouterr().err
-
-
-def test_flight_recording_becomes_a_file_for_everyone(
-    runtime: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    board = board_params(injections=(InjectionParams("encoder_jump", tick=900, value=100_000.0),))
-    with RecordedFlight(board=board) as flight:
-        flight.move()
-        flight.fly(2300)
-    (path,) = flights_folder("test").glob("*.flight")
-    assert main(["rec", "recover", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert Path(told["file"]) == path.with_suffix(".h5")
-    assert path.exists()
-    assert main(["replay", told["file"]]) == 0
-    assert main(["replay", str(path)]) == 0
-    assert capsys.readouterr().out.count("bit-exact") == 2

@@ -141,12 +141,3 @@ def test_a_program_can_be_the_hand(tmp_path, monkeypatch):
     assert [(one["action"], one["amount"]) for one in seen] == [("hang", 0.05), ("hang", 0.06)]
     with pytest.raises(DaemonDown, match="HAPTICD_HAND"):
         ask(Request("let go", "let go"))
-
-
-def test_temperature_writes_the_count_of_0_degrees(config, hand):
-    stated = ["rig", "temperature", "--at", "22", "--no-shake", "--config", str(config)]
-    assert main([*stated, "--yes", "--json"]) == 0
-    device = load(config).device
-    assert abs(device.temperature.offset_count) < 1.0
-    assert "temperature.offset_count" in device.temperature.source
-    assert "rig" not in device.emf_velocity.source

@@ -114,47 +114,7 @@ def test_explain_as_json_has_effects_and_cost(
     assert found["levels"][0]["modes"][0]["time_constant_s"] == pytest.approx(0.008)
 
 
-def test_ceiling_over_the_winding_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = spoken(capsys, "sim", "ceiling", "fig7")
-    assert code == 0
-    assert "Largest stable active damping: no limit" in out
-    assert "The scene asks for 1.74 N s/m: loop gain g dR / K^2 = 0.0582, unstable at -1;" in out
-    assert "-0.3 is allowed." in out
-    assert "-40 K                             10.2" in out
-
-
-def test_ceiling_as_json_has_no_infinities(capsys: pytest.CaptureFixture[str]) -> None:
-    found = told(capsys, "sim", "ceiling", "fig7")
-    assert found["device"] is None
-    assert found["unit"] == "N s/m"
-    assert found["warmer"][0] == pytest.approx([-40.0, 10.17, 3.066], rel=0.01)
-
-
 # --- effects --------------------------------------------------------------------------------------
-
-
-def test_effects_propose_a_set(
-    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
-) -> None:
-    verb = (
-        "sim",
-        "effects",
-        mine,
-        "--for",
-        "phase",
-        "--tolerance",
-        "60 %",
-        "--seconds",
-        "5",
-        "--out",
-        str(tmp_path),
-    )
-    code, out, err = spoken(capsys, *verb)
-    assert code == 0
-    assert "without viscous" in out
-    assert "For phase within 60 % keep" in out
-    assert "mine-effects-phase.png" in err
-    assert (tmp_path / "mine-effects-phase.svg").is_file()
 
 
 def test_effects_as_json_have_rows_and_the_proposal(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli_zwidth_folders import LIMITS, MAP, interrupted, run
+from support.cli_zwidth_folders import interrupted, run
 
 
 @pytest.mark.parametrize("verb", ["trial", "walls"])
@@ -22,44 +22,6 @@ def test_interrupted_run_says_that_nothing_is_kept(
     code, _, err = run([verb, "--out", str(tmp_path / "x")], capsys)
     assert (code, err.splitlines()[-1]) == (130, "interrupted: nothing of this run was kept")
     assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["trial", "--seconds", "8", "--plot"],
-        [
-            "walls",
-            "--stiffness",
-            "50",
-            "100",
-            "2",
-            "--viscous",
-            "0",
-            "2",
-            "2",
-            "--active-damping",
-            "0",
-        ],
-        [*LIMITS[:-1], "--axis", "B"],
-        MAP[:-1],
-    ],
-)
-def test_interrupted_drawing_says_that_the_result_is_kept(
-    words: list[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from hapticd.zwidth.report import style
-
-    monkeypatch.setattr(style, "save", interrupted)
-    code, _, err = run([*words, "--out", str(tmp_path)], capsys)
-    assert code == 130
-    assert err.endswith(
-        f"interrupted: the result is kept in {tmp_path}, without all of its figures\n"
-    )
-    assert (tmp_path / "run.json").is_file()
 
 
 def test_impedance_is_written_for_other_programs(

@@ -17,7 +17,6 @@ from typer.main import get_command
 from hapticd.cli import change
 from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
-from hapticd.core.params import InjectionParams
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
@@ -76,26 +75,6 @@ def test_trial_beyond_the_device_is_refused_as_a_live_one(
     assert re.search(told, re.sub(r"\s+", " ", err))
     assert "simulates" not in err
     assert not list(tmp_path.iterdir())
-
-
-def test_multisine_trial_runs_by_the_whole_stack(tmp_path, capsys):
-    words = [
-        "trial",
-        "lockstep",
-        *LINEAR,
-        *MULTISINE,
-        "--realisations",
-        "3",
-        "--out",
-        str(tmp_path),
-        "--json",
-    ]
-    code, out, _ = run(words, capsys)
-    assert code == 0
-    found = json.loads(out)
-    assert found["multisine"]["realisations"] == 3
-    assert found["flown_again"] == 0
-    assert 0.0 < found["max_command_n"] < found["command_limit_n"] == 8.0
 
 
 def test_multisine_of_friction_names_no_number_that_means_nothing(tmp_path, capsys):
@@ -312,19 +291,6 @@ def test_known_skew_is_taken_out_of_a_record(verb, early, tmp_path, capsys):
     assert json.loads((tmp_path / "b" / "run.json").read_text())["skew_taken_out_s"] == -125e-6
 
 
-def test_known_high_pass_is_taken_out_of_a_record(tmp_path, capsys):
-    force, velocity = record(
-        lambda f: mass_damper(0.008, 1.0, 100.0)(f) * (1.0 + 0.5 / (1j * f)), 7
-    )
-    np.savez(tmp_path / "ac.npz", force_n=force, velocity_m_per_s=velocity, rate_hz=4000.0)
-    words = ["trial", str(tmp_path / "ac.npz"), "--estimator", "h_force"]
-    _, out, _ = run([*words, "--out", str(tmp_path / "a")], capsys)
-    assert re.search(r"take a corner that is known out with --high-pass 0\.[45]\d*,", out)
-    _, out, _ = run([*words, "--high-pass", "0.5", "--out", str(tmp_path / "b")], capsys)
-    assert "high-pass" not in out
-    assert out.splitlines()[1].startswith("passive in band")
-
-
 @pytest.fixture
 def daemon(monkeypatch):
     """The shipped configuration's daemon, on virtual time."""
@@ -336,77 +302,6 @@ def daemon(monkeypatch):
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)
-
-
-@pytest.mark.parametrize(("typed", "taken_out_s"), [([], 4.45e-5), (["--skew", "0"], 0.0)])
-def test_live_trial_takes_out_the_skew_of_the_device_file(
-    monkeypatch, tmp_path, capsys, typed, taken_out_s
-):
-    settings = load(shipped("config") / "hapticd.toml")
-    servo = servo_params(settings, "default")
-    servo = replace(servo, device=replace(servo.device, probe_skew_us=44.5))
-
-    @contextmanager
-    def connected(instance, timeout_s=2.0):
-        with LockStepClient(servo, board_params(settings)) as bench:
-            yield bench
-
-    monkeypatch.setattr(change, "connect", connected)
-    words = ["trial", "live", "-K", "50", "-B", "0.5", "--seconds", "5", "--psd", "1e-5"]
-    code, _, err = run([*words, *typed, "--out", str(tmp_path)], capsys)
-    assert code == 0
-    kept = json.loads((tmp_path / "run.json").read_text())
-    assert kept["skew_taken_out_s"] == pytest.approx(taken_out_s)
-    assert "44.5 us later than its force" in err
-    assert f"{1e6 * taken_out_s:.3g} us are taken out" in err
-
-
-def test_live_trial_that_leaves_the_device_in_fault_ends_with_5(monkeypatch, tmp_path, capsys):
-    settings = load(shipped("config") / "hapticd.toml")
-    board = replace(
-        board_params(settings), injections=(InjectionParams("unplug", tick=14000, value=0.3),)
-    )
-
-    @contextmanager
-    def connected(instance, timeout_s=2.0):
-        with LockStepClient(servo_params(settings, "default"), board) as bench:
-            yield bench
-
-    monkeypatch.setattr(change, "connect", connected)
-    words = ["trial", "live", "-K", "50", "-B", "0.5", "--seconds", "20", "--out", str(tmp_path)]
-    code, out, err = run(words, capsys)
-    assert "ended early: fault: " in out, err
-    assert code == 5
-
-
-def test_live_trial_without_stiffness_ends_at_the_stop(daemon, tmp_path, capsys):
-    code, _, err = run(["trial", "live", "--out", str(tmp_path)], capsys)
-    assert "in K 0 N/m, B 0 N s/m, M 0 kg" in err
-    assert "with K = 0 nothing holds the device in its travel; -K 20 would" in err
-    assert "travel: the device stands at" in err
-    assert code == 65
-
-
-def test_live_trial_of_a_scene_of_another_device_says_so(daemon, tmp_path, capsys):
-    words = [
-        "trial",
-        "live",
-        "--scene",
-        "fig4",
-        "-M",
-        "0",
-        "--seconds",
-        "8",
-        "--out",
-        str(tmp_path),
-    ]
-    code, out, err = run(words, capsys)
-    assert code == 0
-    assert (
-        "scene 'fig4' is of the device 'weir2008', not of the daemon's: the scene's environment is"
-        " rendered on 'simulated display'" in err
-    )
-    assert "device 'simulated display': K 100 N/m, B 1 N s/m, M 0 kg" in out
 
 
 def test_help_says_what_live_does(capsys, monkeypatch):

@@ -14,7 +14,7 @@ from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.client import AsyncClient, Client, SequenceError, Step, StepReceipt, step
 from hapticd.client.requests import accepted
-from hapticd.client.sequence import LEAD_S, MOST_AHEAD, Ask, AtRefusal, Pause, exchange
+from hapticd.client.sequence import LEAD_S, Ask, AtRefusal, Pause, exchange
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.gateway import server
 from hapticd.mailbox.layout import State
@@ -116,22 +116,6 @@ def test_what_the_protocol_does_not_time_is_sent_once_its_tick_has_come(script: 
     assert at <= enabled.tick <= at + 150
     assert played.tick >= enabled.tick + 300
     assert all("at_tick" not in fields for _, _, fields in script.asked)
-
-
-def test_many_steps_never_fill_the_table_of_the_servo(script: Script) -> None:
-    most = 0
-    obey = script.rig.servo.tick
-
-    def tick(count: int = 1) -> None:
-        nonlocal most
-        obey(count)
-        most = max(most, len(script.rig.servo.scheduled))
-
-    script.rig.servo.tick = tick  # type: ignore[method-assign]
-    steps = [step("set", K=float(k), after_s=0.02) for k in range(40)]
-    done = script.run(step("set", K=1, after_s=0.5), *steps)
-    assert [one.tick - done[0].tick for one in done] == [20 * place for place in range(41)]
-    assert 2 <= most <= MOST_AHEAD
 
 
 def test_slots_that_the_servo_lost_do_not_delay_a_step(script: Script) -> None:

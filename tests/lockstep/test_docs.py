@@ -17,9 +17,6 @@ from support.tree import ROOT, path_of_test
 
 import hapticd
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS
-from hapticd.protocol.telemetry import TOPICS
-from hapticd.settings.load import load
-from hapticd.settings.tables import leaves
 
 
 @pytest.fixture
@@ -190,26 +187,6 @@ def exists(name: str) -> bool:
             code = file.read_text(encoding="utf-8").removeprefix('"""').partition('"""')[2]
             return count == len(parts) or bool(re.search(rf"\b{parts[count]}\b", code))
     return False
-
-
-def test_every_module_that_is_named_anywhere_exists() -> None:
-    """In pages, docstrings, comments and settings."""
-    settings = {".".join(map(str, path)) for path, _ in leaves(load(None).plain())}
-    settings |= STATUS_KEYS | {topic.name for topic in TOPICS}
-    pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
-    for folder, pattern in (
-        ("docs", "**/*.md"), ("docs", "pages/*.py"), ("hapticd", "**/*.py"), ("tests", "*.py"),
-        ("benchmarks", "*.py"), ("examples", "**/*"), ("config", "**/*.toml"), ("systemd", "*"),
-    ):  # fmt: skip
-        pages += sorted(ROOT.joinpath(folder).glob(pattern))
-    missing = [
-        f"{page.relative_to(ROOT)}:{number}: {name}"
-        for page in pages
-        if page != Path(__file__) and page.is_file() and page.suffix != ".pyc"
-        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
-        for name in names_that_do_not_exist(line, settings)
-    ]
-    assert missing == []
 
 
 @pytest.mark.parametrize(

@@ -768,11 +768,6 @@ def test_histogram_is_judged_by_spin_and_period(
     assert (finding.level, text in finding.found) == (level, True)
 
 
-def test_worker_that_fails_says_why() -> None:
-    with pytest.raises(OSError, match="ValueError: invalid literal"):
-        wake.measure(0.0, "x")  # type: ignore[arg-type]
-
-
 # --- the verb -------------------------------------------------------------------------------------
 
 

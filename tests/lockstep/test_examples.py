@@ -1,18 +1,12 @@
 """Examples run as they stand; those that need a daemon are in the process tests."""
 
-import itertools
 import os
 import subprocess
 import sys
 
 import pytest
-from support.examples import EXAMPLES, virtual
+from support.examples import EXAMPLES
 from support.tree import ROOT
-
-
-def test_steps_act_at_their_ticks_without_a_daemon(tmp_path):
-    ticks = [int(line.split()[1].rstrip(",")) for line in virtual("steps", tmp_path)]
-    assert [after - before for before, after in itertools.pairwise(ticks)][2:5] == [500] * 3
 
 
 @pytest.mark.parametrize("name", ["sweep", "toggle", "steps", "wall", "jnd"])

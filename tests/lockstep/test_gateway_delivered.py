@@ -51,28 +51,6 @@ def failed(kinds: tuple[tuple[str, float], ...]) -> tuple[ServoParams, Records]:
     return flown(ticks=11_000, shaken_ticks=11_000, injections=injections)
 
 
-@pytest.mark.parametrize("gain", [0.0, 0.3, 0.6])
-def test_circuit_that_delivers_less_is_found_and_told_once(gain):
-    found, lows = followed(*failed((("active_damping_gain", gain),)))
-    assert holds(found, circuit(gain * LEVEL))
-    assert found.high < 0.8 * LEVEL
-    assert [(low.warn, low.fault) for low in lows] == [(True, False)]
-    assert "delivered of 1.74 N s/m commanded" in lows[0].text
-
-
-def test_amplifier_that_stands_still_delivers_no_damping():
-    found, lows = followed(*failed((("amplifier_stuck", 0.2), ("active_damping_gain", 0.0))))
-    assert holds(found, 0.0)
-    assert len(lows) == 1
-
-
-@pytest.mark.parametrize("gain", [0.5, 1.5])
-def test_gain_of_the_force_is_not_taken_for_damping(gain):
-    found, lows = followed(*failed((("amplifier_gain", gain),)))
-    assert holds(found, circuit(LEVEL))
-    assert not lows
-
-
 @pytest.mark.parametrize(("relied_on", "faults"), [(0.5, 0), (1.2, 1), (None, 0)])
 def test_fault_is_asked_for_once_and_only_where_the_damping_is_relied_on(relied_on, faults):
     """0.6 of 1.74 are about 1.1 N s/m."""
@@ -143,16 +121,6 @@ def test_what_is_not_measured_is_left_out(name, value):
     assert not lows
 
 
-@pytest.mark.parametrize("name", ["position_m", "force_n"])
-def test_position_or_force_that_is_no_number_is_left_out(name):
-    servo, records = flown(ticks=6000, shaken_ticks=6000)
-    values = records[name].copy()
-    values[4000:4100:31] = np.nan
-    found, lows = followed(servo, changed(records, **{name: values}))
-    assert holds(found, circuit(LEVEL))
-    assert not lows
-
-
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", range(10))
 def test_no_record_ends_the_gateway(seed):
@@ -181,29 +149,6 @@ def test_current_that_saturates_is_no_current():
     found, lows = followed(saturated, changed(records, current_a=limited))
     assert found.low is None or holds(found, circuit(LEVEL))
     assert not lows
-
-
-def test_what_is_known_gets_old():
-    """At 3 s the current sensor stays at its end; 4 s later nothing is known any more."""
-    servo, records = flown(ticks=8000, shaken_ticks=8000)
-    current = records["current_a"].copy()
-    current[3000:] = 32767 * servo.device.current.per_count
-    stuck = changed(records, current_a=current)
-    assert holds(followed(servo, stuck[:3000])[0], circuit(LEVEL))
-    assert followed(servo, stuck)[0].estimate_ns_per_m is None
-
-
-def test_lost_frames_and_gaps_in_the_records_are_left_out():
-    losses = tuple(InjectionParams(kind, probability=0.01) for kind in ("drop_in", "drop_out"))
-    servo, records = flown(ticks=6000, shaken_ticks=6000, injections=losses)
-    delivered = Delivered(servo, lambda: None)
-    for start in range(0, 6000, 20):
-        if start % 1000 == 500:
-            delivered.forget()
-            continue
-        assert not delivered.take(records[start : start + 20])
-    assert holds(delivered.estimate, circuit(LEVEL))
-    assert delivered.estimate.seconds < 4.0
 
 
 def test_estimate_does_not_depend_on_how_records_come():

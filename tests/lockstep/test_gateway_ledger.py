@@ -72,21 +72,6 @@ def test_work_on_the_device_is_its_motion_and_its_losses(phase):
     )
 
 
-def test_sums_do_not_depend_on_how_records_come():
-    params, records = flown(EVERYTHING, 800, injections=LOSSES)
-    one = sums(params, records, len(records))
-    for at_once in (1, 7, 20):
-        other = sums(params, records, at_once)
-        for name in NAMES:
-            assert other[name][-1] == pytest.approx(one[name][-1], rel=1e-9, abs=1e-18), name
-    late = Ledger(params)
-    for start in range(0, 700, 20):
-        late.defer(records[start : start + 20])
-    assert late.take(records[700:])[-1] == pytest.approx(
-        [one[name][-1] for name in NAMES], rel=1e-9, abs=1e-18
-    )
-
-
 def test_causes_and_the_unexplained_are_the_whole_while_frames_are_lost():
     params, records = flown(EVERYTHING, injections=LOSSES)
     found = sums(params, records)

@@ -10,13 +10,11 @@ from typing import Any
 import pytest
 from support.boards import board_params
 from support.gateway_rig import CommandServerRig, decoded, packed
-from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
+from support.guard_stages import Flight
 from support.guard_stub import StubWorker, refuses, stage, verdict
 from support.models import servo_params
 
-from hapticd.core.errors import MailboxError
 from hapticd.core.units import NS_PER_MS
-from hapticd.guard import terms
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
@@ -292,32 +290,7 @@ def test_change_waits_for_the_delay_and_is_judged_then(tmp_path: Path, worker: S
     assert rig.servo.values[Value.STIFFNESS] == 100.0
 
 
-def test_terms_that_could_not_be_kept_are_tried_again(
-    rig: CommandServerRig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_room(*_: object) -> None:
-        raise MailboxError("no room")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(terms, "write_terms", no_room)
-        rig.ask(cmd="guard", policy="refuse")
-        rig.run(2000)
-    warnings = [one for one in rig.journal.recent if "not kept" in one.get("text", "")]
-    assert len(warnings) == 1
-    rig.run(1100)
-    rig.start_gateway()
-    rig.run(5)
-    assert rig.guard.policy == "refuse"
-
-
 # --- another gateway --------------------------------------------------------------------------
-
-
-def test_client_numbers_go_on_with_the_next_gateway(rig: CommandServerRig) -> None:
-    first = rig.ask(b"a", cmd="hello", name="a")["result"]["actor"]
-    rig.start_gateway()
-    rig.run(2)
-    assert rig.ask(b"b", cmd="hello", name="b")["result"]["actor"] > first
 
 
 def test_perturbation_that_was_leased_ends_with_its_gateway(rig: CommandServerRig) -> None:
@@ -395,25 +368,6 @@ def test_bounded_push_ends_at_its_tick(flight: Flight, policy: str, after: str) 
     assert pushed.max(initial=0) < begin + 25
 
 
-@pytest.mark.parametrize("policy", STRICT)
-def test_bounded_level_of_active_damping_ends_at_its_tick(flight: Flight, policy: str) -> None:
-    reply, begin = bounded(flight, policy, active_damping=LEVEL_NS_PER_M)
-    assert reply["ok"]
-    flight.worker.silent = True
-    records = flight.fly(400)
-    asked = records["active_damping_asked_ns_per_m"]
-    assert asked[records["tick"] == begin + 1] > 1.7
-    assert asked[records["tick"] == begin + 21] == 0.0
-
-
-def test_unsafe_bounded_change_is_refused_and_schedules_nothing(flight: Flight) -> None:
-    reply, _ = bounded(flight, "refuse", **STIFF)
-    assert reply["error"]["code"] == "guard"
-    records = flight.fly(200)
-    assert not records["stiffness_n_per_m"].any()
-    assert flight.stack.loop.state[0].plan.scheduled == ()
-
-
 @pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
 def test_bounded_change_whose_end_has_passed_does_not_begin(flight: Flight, policy: str) -> None:
     assert flight.ask(cmd="guard", policy=policy)["ok"]
@@ -445,18 +399,6 @@ def test_bounded_change_that_does_not_begin_leaves_no_end(flight: Flight) -> Non
     assert scheduled(flight) == ()
     records = flight.fly(200)
     assert set(records["stiffness_n_per_m"][records["tick"] > begin]) == {30.0}
-
-
-def test_bounded_change_for_whose_end_there_is_no_room_does_not_begin(flight: Flight) -> None:
-    flight.ask(cmd="guard", policy="warn")
-    tick = flight.view.tick
-    for place in range(15):
-        assert flight.ask(cmd="set", K=1.0 + place, at_tick=tick + 2000 + place)["ok"]
-    begin = flight.view.tick + 50
-    reply = flight.ask(cmd="set", K=50.0, ramp_s=0.0, at_tick=begin, until_tick=begin + 20)
-    assert not reply["ok"]
-    assert len(scheduled(flight)) == 15
-    assert not flight.fly(200)["stiffness_n_per_m"].any()
 
 
 def test_bounded_change_brings_back_what_was_there_when_it_began(flight: Flight) -> None:

@@ -1,10 +1,6 @@
 """ZMTP by the bytes of its RFC, and by whatever else may come."""
 
-import contextlib
-
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support.raw_peer import HELLO, PING, ready, short
 
 from hapticd.core.errors import WireError
@@ -111,14 +107,3 @@ def test_endless_message_is_bounded_in_bytes_and_parts() -> None:
     many.feed(short(b"", 1) * (MOST_PARTS + 1))
     with pytest.raises(WireError, match=f"a message of more than {MOST_PARTS} parts"):
         [many.take() for _ in range(MOST_PARTS + 1)]
-
-
-@settings(max_examples=500, deadline=None, derandomize=True)
-@given(pieces=st.lists(st.binary(max_size=40) | st.sampled_from([PING, short(b"a"), b"\2"])))
-def test_any_bytes_end_or_are_taken_apart(pieces: list[bytes]) -> None:
-    session = introduced()
-    with contextlib.suppress(WireError):
-        for piece in pieces:
-            session.feed(piece)
-            for found in taken(session):
-                assert sum(map(len, found)) <= LONGEST

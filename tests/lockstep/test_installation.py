@@ -160,18 +160,6 @@ def test_user_is_told_what_to_install(
     assert ("the tests that need them will be skipped" in done.stderr) == (code == 0)
 
 
-@pytest.mark.parametrize(("options", "code"), [((), 0), (("--all-must-run",), 1)])
-def test_missing_program_skips_its_tests_or_fails_the_run(
-    ordinary_user: dict[str, str], options: tuple[str, ...], code: int
-) -> None:
-    pytest_command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *options]
-    command = [*pytest_command, "tests/lockstep/test_systemd.py", "-k", "verify"]
-    done = subprocess.run(command, cwd=ROOT, env=ordinary_user, capture_output=True, text=True)
-    assert (done.returncode, "1 skipped" in done.stdout) == (code, True), done.stdout
-    assert "systemd-analyze is missing; install it with `make deps`" in done.stdout
-    assert ("not run, and every test has to" in done.stdout) == bool(options)
-
-
 # --- the lock -------------------------------------------------------------------------------------
 
 LOCK = ROOT / "requirements.lock"

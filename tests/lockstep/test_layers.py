@@ -4,8 +4,6 @@ this looks at what runs.
 
 from support.layers import NEVER_IN_SERVO, modules_after, packages
 
-NEVER_IN_GATEWAY = {"numba", "scipy", "usb", "typer", "rich", "tomllib"}
-
 
 def test_servo_of_a_real_board_loads_no_simulator() -> None:
     """Importing the process is what a servo of a real board does; a simulated one imports more."""
@@ -14,28 +12,6 @@ def test_servo_of_a_real_board_loads_no_simulator() -> None:
     )
     assert packages(modules) & NEVER_IN_SERVO == set()
     assert not [name for name in modules if name.startswith(("hapticd.sim", "hapticd.model"))]
-
-
-def test_gateway_brings_no_compiler_and_no_board() -> None:
-    modules = modules_after(
-        "import json, sys, hapticd.run.gateway_main; print(json.dumps(sorted(sys.modules)))"
-    )
-    assert packages(modules) & NEVER_IN_GATEWAY == set()
-    assert not [
-        name
-        for name in modules
-        if name.startswith(
-            (
-                "hapticd.servo",
-                "hapticd.sim",
-                "hapticd.zwidth.engine",
-                "hapticd.settings",
-                "hapticd.usb.device",
-                "hapticd.usb.link",
-                "hapticd.usb.usbfs",
-            )
-        )
-    ]
 
 
 def test_quick_stop_loads_no_models() -> None:

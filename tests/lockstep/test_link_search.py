@@ -4,7 +4,6 @@ back to a servo that runs.
 
 import json
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -249,49 +248,9 @@ def slow(backend: SimulatedBackend) -> None:
     backend.unready = Unready(hello_s=1e6)
 
 
-def dead(backend: SimulatedBackend) -> None:
-    backend.unready = Unready(boot_loader_s=1e6)
-
-
-def another_hash(backend: SimulatedBackend) -> None:
-    backend.unready = Unready(boot_loader_s=1e6, boot_hello=FOREIGN_HELLO)
-
-
 def claimed(backend: SimulatedBackend) -> None:
     backend.kernel_driver = True
     backend.detach_kernel_driver = lambda handle, interface: None  # type: ignore[method-assign]
-
-
-REFUSED = [(denied, RIGHTS), (slow, SLOW), (dead, BOOT), (another_hash, HASH), (claimed, OWNER)]
-
-
-@pytest.mark.parametrize(("refuse", "said"), REFUSED)
-def test_reconnect_that_is_refused_is_told_and_tried_again(
-    refuse: Callable[[SimulatedBackend], None], said: str
-) -> None:
-    with LockStep(servo_params(), board_params()) as stack:
-        told: list[str] = []
-        stack.loop.connection.tell = told.append
-        stack.run(100)
-        refuse(stack.backend)
-        stack.backend.unplug(away_s=0.2)
-        # a servo that runs waits for a wrong hash longer than a start
-        stack.run(31_000 if refuse is another_hash else 2000)
-        waiting = stack.gateway.report()["waiting_for"]
-        assert said in waiting
-        assert told[-1] == waiting
-        # at most: the dead device that is listed once more, nothing, what it is refused for
-        assert len(told) <= 4
-        assert all(before != after for before, after in pairwise(told))
-        assert not stack.loop.connection.linked
-        stack.backend.access_denied = stack.backend.kernel_driver = False
-        stack.backend.unready = READY
-        stack.backend.unplug(away_s=0.2)
-        stack.run(3000)
-        assert stack.loop.connection.linked
-        assert told[-1] == stack.gateway.report()["waiting_for"] == ""
-        assert stack.gateway.report()["reconnected"] == "SIM0001"
-        assert stack.gateway.counters()["reconnects"] == 1
 
 
 def test_servo_survives_a_report_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 and how it comes back.
 """
 
-import gc
 import sys
 import types
 from array import array
@@ -593,44 +592,3 @@ def test_board_that_is_plugged_in_late_and_again_is_found_without_messages_of_ud
 
 
 # --- memory ---------------------------------------------------------------------------------------
-def test_ten_thousand_pairs_leave_nothing_behind(bench):
-    out = array("B", bytes(32))
-    pack = codec.out_packer(out)
-
-    def ticks(first, last):
-        for tick in range(first, last):
-            pack(tick & 0xFFFF, ENABLE, tick % 500, tick % 700, 0)
-            bench.link.write(out)
-            bench.link.read(bench.buffer)
-            bench.clock.sleep_until_ns((tick + 1) * TICK_NS)
-
-    ticks(0, 500)
-    gc.collect()
-    gc.disable()
-    try:
-        before = sys.getallocatedblocks()
-        ticks(500, 10_500)
-        after = sys.getallocatedblocks()
-        unreachable = gc.collect()
-    finally:
-        gc.enable()
-    assert after - before < 50
-    assert unreachable == 0
-
-
-@pytest.mark.parametrize("hinder", ["access_denied", "unplugged"])
-def test_board_that_cannot_be_opened_leaves_nothing_behind(hinder):
-    bench = Bench(opened=False, serial="SIM0001")
-    bench.backend.access_denied = hinder == "access_denied"
-    if hinder == "unplugged":
-        bench.backend.unplug()
-    gc.collect()
-    gc.disable()
-    try:
-        for _ in range(20):
-            with pytest.raises((LinkAccess, LinkLost)):
-                bench.link.open()
-        unreachable = gc.collect()
-    finally:
-        gc.enable()
-    assert unreachable == 0

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from support.boards import board_params
-from support.gateway_rig import START_NS, GatewayRig, packed
-from support.gateway_stand_in import StandInServo, setup
+from support.gateway_rig import GatewayRig
+from support.gateway_stand_in import StandInServo
 from support.models import device_params, servo_params
 
-from hapticd.core.clock import VirtualClock
-from hapticd.core.params import GatewaySetup, ScaleParams
-from hapticd.gateway.server import GatewayServer, run
+from hapticd.core.params import ScaleParams
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, TELEMETRY, Command, Result, Value
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.inbox import Streamer
@@ -126,12 +124,6 @@ def test_a_waveform_that_starts_as_another_ends_is_played(stack: LockStep, early
 # --- whose newtons --------------------------------------------------------------------------------
 
 
-def other(base: GatewaySetup) -> GatewaySetup:
-    """Another device file: its probe makes four times the force of a count."""
-    device = replace(base.servo.device, probe_torque=ScaleParams(4e-3))
-    return replace(base, servo=replace(base.servo, device=device, config_hash="d" * 64))
-
-
 def test_a_gateway_with_another_configuration_refuses_in_words(tmp_path: Path) -> None:
     """0.4 N asked of it would be 1.6 N at the device."""
     with GatewayRig(tmp_path) as rig:
@@ -150,29 +142,3 @@ def test_a_gateway_with_another_configuration_refuses_in_words(tmp_path: Path) -
             )
         assert not any(rig.servo.mailbox.waveform[:10])
         assert rig.servo.mailbox.load(GATEWAY_BEAT_WORD) == 0  # and it gives no heartbeat
-
-
-def test_a_gateway_reads_the_configuration_of_a_servo_that_started_with_another(
-    tmp_path: Path,
-) -> None:
-    clock = VirtualClock(START_NS)
-    servo = StandInServo(tmp_path, clock, config_hash="d" * 64)
-    setups = [setup(), setup(), other(setup())]
-    reads = []
-
-    def read() -> GatewaySetup:
-        reads.append(setups.pop(0))
-        return reads[-1]
-
-    def ended() -> bool:
-        servo.tick(20)
-        return servo.mailbox.load(GATEWAY_BEAT_WORD) > 0 or servo.ticks > 4000
-
-    run(tmp_path, read, clock, ended)
-    assert [one.servo.config_hash[0] for one in reads] == ["c", "c", "d"]
-    gateway = GatewayServer(tmp_path, reads[-1], clock)
-    gateway.step(0)
-    message = [b"a", packed(cmd="perturb", action="load", samples_n=[0.4])]
-    gateway._commands.serve([message], clock.now_ns())
-    gateway.close()
-    assert servo.mailbox.waveform[0] == 100  # 0.4 N at 4 mN/count

@@ -146,20 +146,6 @@ def test_push_and_strike_give_their_impulse():
     assert states[-1][1] == pytest.approx(impulse_ns / MASS_KG, rel=1e-3)
 
 
-def test_tremor_is_seeded_and_as_large_as_it_says():
-    hand = HandParams("hold", stiffness_n_per_m=1e6, damping_ns_per_m=100.0, tremor_m=1e-4)
-
-    def places(seed):
-        return [
-            x for x, _ in flown(plant_of(TouchParams(hands=(hand,)), seed=seed), (0, 0), 32_000)
-        ]
-
-    first = places(1)
-    assert first == places(1)
-    assert first != places(2)
-    assert sqrt(sum(x * x for x in first) / len(first)) == pytest.approx(1e-4, rel=0.3)
-
-
 def composed(touch):
     _, board = scene_params("fig4")
     return replace(board, touch=touch)

@@ -3,29 +3,21 @@
 import dataclasses
 import datetime
 import json
-from contextlib import contextmanager
 
 import pytest
 from support.boards import board_params
 from support.models import device_params, servo_params
-from support.recorded import RecordedFlight, recorded_into
 
-from hapticd.cli import change
-from hapticd.cli.app import main
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import to_plain
 from hapticd.recording.calibrations import doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of, certificate_path
-from hapticd.recording.file import open_recording
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import servo_params as built
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import read_summary
-from hapticd.zwidth.trial import TrialParams, kept_trial, plan_trial, run_trial, write
 
 DAY = datetime.date(2026, 6, 1)
 SCALES = ("position", "force", "active_damping", "probe_torque", "probe_velocity", "temperature")
@@ -139,54 +131,7 @@ def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
         assert bench.status().state == "disabled"
 
 
-def test_trial_that_accepts_it_says_so_in_its_verdict_and_wherever_it_is_read(tmp_path):
-    plan = plan_trial(TrialParams(TRIAL))
-    with LockStepClient(dated(**OLD), board_params()) as bench:
-        result = run_trial(plan, daemon_source(bench, uncalibrated=True))
-    assert "uncalibrated: position: it is" in str(result.verdict)
-    write(tmp_path, result, {})
-    kept = read_summary(tmp_path)
-    assert len(kept["calibration_doubts"]) == len(SCALES)
-    assert "uncalibrated: position" in str(kept_trial(tmp_path, kept, None).verdict)
-    assert read_file(tmp_path).more["calibration_doubts"] == kept["calibration_doubts"]
-
-
-def test_trial_of_a_simulated_device_says_nothing_of_it():
-    simulated = dataclasses.replace(dated(date=""), simulated=True)
-    with LockStepClient(simulated, board_params()) as bench:
-        recorded = daemon_source(bench)(TRIAL)
-    assert recorded.more["calibration_doubts"] == []
-
-
-def test_trial_live_takes_uncalibrated_devices_when_asked(monkeypatch, tmp_path, capsys):
-    @contextmanager
-    def connected(instance, timeout_s=2.0):
-        with LockStepClient(dated(**OLD), board_params()) as bench:
-            yield bench
-
-    monkeypatch.setattr(change, "connect", connected)
-    words = ["zwidth", "trial", "live", "-K", "50", "-B", "0.5", "--seconds", "5", "--psd", "1e-5"]
-    assert main([*words, "--out", str(tmp_path / "a")]) == 65
-    assert "--uncalibrated" in capsys.readouterr().err
-    assert main([*words, "--uncalibrated", "--out", str(tmp_path / "b")]) == 0
-    assert "uncalibrated: position" in capsys.readouterr().out
-
-
 # --- a recording ----------------------------------------------------------------------------------
-
-
-def test_recording_names_them_and_so_does_the_trial_in_it(tmp_path):
-    with RecordedFlight(dated(**OLD)) as run:
-        run.move()
-        run.fly(1500)
-        recorded_into(tmp_path / "run.h5", run)
-    with open_recording(tmp_path / "run.h5") as recording:
-        attributes = recording.attributes
-    said = json.loads(attributes["calibration_doubts"])
-    assert said[0].startswith("position: it is")
-    assert len(said) == len(SCALES)
-    assert attributes["certificate"] == ""
-    assert read_file(tmp_path / "run.h5").more["calibration_doubts"] == said
 
 
 # --- the certificate of the rig -------------------------------------------------------------------

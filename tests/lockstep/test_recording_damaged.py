@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from support.attacks.documents import crashed_recording, damaged_bytes, pack_damaged
+from support.attacks.documents import crashed_recording
 from support.recorded import RecordedFlight
 
 from hapticd.core.errors import ConfigError, HapticdError
@@ -156,12 +156,6 @@ def test_address_beyond_what_a_file_may_have_is_damage(
     path.write_bytes(data)
     with pytest.raises(ConfigError, match="or damaged"):
         open_recording(path)
-
-
-def test_bytes_at_random_are_packed_or_refused(crashed: Path, tmp_path: Path) -> None:
-    source = crashed.read_bytes()
-    for seed in range(30):
-        pack_damaged(tmp_path, damaged_bytes(source, random.Random(seed)))
 
 
 def test_flight_recording_with_any_header_is_read_or_refused(runtime: Path, tmp_path: Path) -> None:

@@ -50,15 +50,6 @@ def mixed() -> Any:
     return figure, panels
 
 
-def test_bar_of_colours_stays_at_its_panel(mixed: Any) -> None:
-    figure, panels = mixed
-    (bar,) = (one.get_position() for one in figure.axes if one.get_label() == "<colorbar>")
-    plane, solid = (panels[name].get_position(original=True) for name in ("plane", "solid"))
-    assert plane.y1 < solid.y0  # one below the other: beside each other they would be narrow
-    assert plane.x1 < bar.x0
-    assert (bar.y0, bar.y1) == pytest.approx((plane.y0, plane.y1), abs=1e-6)
-
-
 def test_no_word_of_an_axis_is_left_out(mixed: Any) -> None:
     _, panels = mixed
     shown = [one.get_text() for one in panels["words"].get_xticklabels()]

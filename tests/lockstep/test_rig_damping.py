@@ -7,12 +7,11 @@ from math import exp, log
 import numpy as np
 import pytest
 from support.models import COUNT_M, COUNT_N
-from support.rig_damping import FREE, FRICTION, RATE_HZ, device, made_up, nothing
+from support.rig_damping import RATE_HZ, device, made_up, nothing
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig.experiment import push, ready
 from hapticd.rig.steps.coast_down import analyse, row_of
 from hapticd.rig.steps.damping import measure
 
@@ -167,31 +166,6 @@ def test_the_interval_of_the_force_scale_is_part_of_that_of_damping():
     rows = made_up(np.random.default_rng(8), 1.0)
     wide = analyse(rows, device(half=0.0125 * COUNT_N)).values[0]
     assert (wide.high - wide.low) / 2.0 >= 0.0125 * wide.value
-
-
-def test_a_handle_that_is_held_is_refused():
-    with Hand(touch=FRICTION, **FREE) as hand:
-        hand.held_m = 0.0
-        result = measure(hand.bench, nothing)
-        assert hand.bench.status().state == "disabled"
-    assert not result.settled
-    assert "let the handle go" in result.findings[0].remedy
-
-
-def test_a_host_that_takes_its_time_gets_more_of_it():
-    """Each request takes a third of a second, which is more than the shortest lead."""
-    with Hand(touch=FRICTION, **FREE) as hand:
-        bench = hand.bench
-
-        def slow(**fields):
-            bench.run(333)
-            return type(bench).set(bench, **fields)
-
-        with ready(bench):
-            bench.set = slow
-            found = push(bench, 0.2, 0.02, 0.3)
-        assert np.count_nonzero(found.records["force_n"]) == 20
-        assert found.moved_m > 1e-4
 
 
 def test_damping_waits_for_the_signs():

@@ -8,57 +8,11 @@ from support.models import COUNT_M
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import ScaleParams
 from hapticd.rig.steps.encoder import Distance, analyse, measure, passages, scale_of
 from hapticd.usb import frames
 
 DISTANCE = Distance(0.01, 10e-6)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
-
-
-def person(hand, random, towards=1.0):
-    """Somebody who does what is asked, places the handle within some um, and whose positive x is
-    the simulated plant's.
-    """
-
-    def ask(request):
-        if request.action == "let go":
-            hand.let_go()
-        elif request.action == "move":
-            start = hand.position_m
-            hand.hold(start + 1e-6)
-            hand.moving = towards * 2e-6
-            original = hand.bench.run
-
-            def run(ticks):
-                data = b""
-                for _ in range(ticks):
-                    hand.held_m += hand.moving
-                    data += original(1)
-                return data
-
-            hand.bench.run = run
-        else:
-            hand.moving = 0.0
-            if request.action == "hold":
-                placed_m = 0.002 + 2e-6 * random.standard_normal()
-                hand.held_m = placed_m + towards * request.amount
-            hand.bench.stack.run(20)
-
-    return ask
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_sign_and_scale_are_found_though_the_file_is_wrong(sign):
-    """The file says 20 % too little, and both signs are tried."""
-    with Hand({"position": ScaleParams(COUNT_M / 1.2, sign)}, **FREE) as hand:
-        result = measure(hand.bench, person(hand, np.random.default_rng(5)), DISTANCE)
-        changes = {one.key: one.value for one in result.changes}
-        (scale,) = [one for one in result.values if one.name == "position.m_per_count"]
-        assert result.settled
-        assert changes["sign"] == 1
-        assert scale.low <= COUNT_M <= scale.high
-        assert hand.bench.status().state == "disabled"
 
 
 def arrays(**changes):
@@ -131,16 +85,6 @@ def test_a_frame_tells_where_the_mark_was():
     records["status"][1] = frames.StatusBit.INDEX
     records["in_frame"][1] = np.void(bytes(frame))
     assert passages(records, np.array([0.0, 1000.0, 2000.0])).tolist() == [970.0]
-
-
-@pytest.mark.parametrize(("sign", "doubted"), [(1, False), (-1, True)])
-def test_another_sign_of_position_takes_the_verified_signs_back(sign, doubted):
-    """Which way the motor pushes was seen by the sign before."""
-    with Hand({"position": ScaleParams(COUNT_M, sign)}, **FREE) as hand:
-        result = measure(hand.bench, person(hand, np.random.default_rng(5)), DISTANCE)
-    changes = {(one.table, one.key): one.value for one in result.changes}
-    assert changes["position", "sign"] == 1
-    assert (changes.get(("commissioning", "signs_verified")) is False) == doubted
 
 
 def test_a_distance_in_millimetres_is_refused_before_anything_is_asked():

@@ -1,17 +1,13 @@
 """`rig link` on the simulated board, as it is and with faults that somebody put in."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.core.errors import CommandError
-from hapticd.core.params import InjectionParams
 from hapticd.rig.steps.link import drift_of, measure, median_of
 from hapticd.run.lockstep_client import LockStepClient
-from hapticd.usb.frames import StatusBit
 
 SECONDS = 2.0
 
@@ -23,24 +19,6 @@ def found(**board):
             {value.name: value for value in result.values},
             {one.what.partition(":")[0]: one for one in result.findings},
         )
-
-
-def test_a_good_board_has_its_delay_and_no_complaint():
-    """Sampled 0.875 periods after the command: 125 us from sample to force."""
-    values, findings = found()
-    assert values["delay"].value == pytest.approx(125.0, abs=2.0)
-    assert values["clock drift"].value == pytest.approx(0.0, abs=1.0)
-    assert {one.verdict for one in findings.values()} == {"ok"}
-    assert findings["watchdog of the board"].verdict == "ok"
-    assert 249.0 <= values["watchdog"].low < values["watchdog"].high <= 251.0
-
-
-def test_missing_frames_are_counted_and_refused_with_a_remedy():
-    lost = InjectionParams("drop_in", probability=0.01)
-    _, findings = found(injections=(lost,))
-    assert findings["missing_in"].verdict == "refused"
-    assert "cable" in findings["missing_in"].remedy
-    assert findings["write_errors"].verdict == "ok"
 
 
 def watched(ms=50.0, change=lambda axis: None):
@@ -56,18 +34,6 @@ def watched(ms=50.0, change=lambda axis: None):
     return result, status, lost
 
 
-@pytest.mark.parametrize("ms", [20.0, 50.0, 333.0])
-def test_the_time_of_a_watchdog_lies_in_an_interval_of_a_period(ms):
-    result, status, lost = watched(ms)
-    (value,) = [one for one in result.values if one.name == "watchdog"]
-    assert value.low <= ms <= value.high <= value.low + 1.0
-    assert "tripped, it holds the damping" in [one.what for one in result.findings]
-    assert status["state"] == 0
-    assert not status["status"] & StatusBit.WATCHDOG
-    assert status["active_damping_ns_per_m"] == 0.0
-    assert lost == 0
-
-
 def test_a_board_whose_watchdog_does_not_work_is_asked_once_and_refused():
     def dead(axis):
         axis._watchdog = 1 << 40
@@ -78,18 +44,6 @@ def test_a_board_whose_watchdog_does_not_work_is_asked_once_and_refused():
     assert "timer" in found.remedy
     assert len(result.arrays["silences"]) == 1
     assert not result.settled
-
-
-def test_a_watchdog_that_is_later_than_the_hello_says_is_a_warning():
-    def late(axis):
-        axis._watchdog = round(1.2 * axis._watchdog)
-
-    result, _, _ = watched(change=late)
-    (found,) = [one for one in result.findings if one.what.startswith("watchdog")]
-    assert found.verdict == "warning"
-    assert "50 ms" in found.remedy
-    (value,) = [one for one in result.values if one.name == "watchdog"]
-    assert value.low <= 60.0 <= value.high
 
 
 def test_a_board_that_drops_its_damping_with_the_torque_is_refused():
@@ -117,15 +71,6 @@ def test_a_watchdog_of_seconds_is_not_waited_for():
     assert len(result.arrays["silences"]) == 0
 
 
-def test_what_a_board_lacks_is_named_with_what_is_lost():
-    with LockStepClient(servo_params(), board_params(lacks=("emergency_stop",))) as bench:
-        result = measure(bench, SECONDS)
-    assert any(
-        one.what == "it lacks EMERGENCY_STOP" and one.verdict == "warning"
-        for one in result.findings
-    )
-
-
 def test_a_device_that_is_enabled_is_left_alone():
     with LockStepClient(servo_params(), board_params()) as bench:
         bench.enable()
@@ -151,13 +96,3 @@ def test_the_median_has_the_interval_of_its_order_statistics():
     value = median_of("delay", np.arange(10_000.0), "us")
     assert value.value == pytest.approx(4999.5)
     assert value.high - value.low == pytest.approx(2 * 0.98 * 100, abs=3)
-
-
-def test_missing_features_are_named():
-    servo = servo_params()
-    lacking = dataclasses.replace(servo.device, relies_on=("probe", "temperature"))
-    with LockStepClient(
-        dataclasses.replace(servo, device=lacking), board_params(lacks=("temperature",))
-    ) as bench:
-        result = measure(bench, SECONDS)
-    assert any("temperature" in one.what and one.verdict == "refused" for one in result.findings)

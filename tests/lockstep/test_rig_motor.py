@@ -13,7 +13,6 @@ from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import ScaleParams, TouchParams, to_plain
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
-from hapticd.rig.estimate import line
 from hapticd.rig.experiment import push
 from hapticd.rig.steps.motor import (
     Masses,
@@ -32,24 +31,6 @@ def test_the_sign_waits_for_the_encoder():
     file = {"position": ScaleParams(COUNT_M, serial="CHANGE-ME"), "commissioning": True}
     with Hand(file, **FREE) as hand, pytest.raises(AnalysisError, match="first `hapticd rig enc"):
         measure_sign(hand.bench, nothing)
-
-
-def test_a_handle_that_goes_the_same_way_both_times_is_refused():
-    """A hand on it pushes down with 0.2 N whenever it feels something."""
-    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
-        hand.reflex_n = -0.2
-        result = measure_sign(hand.bench, nothing)
-        assert not result.settled
-        assert not result.changes
-        assert "same way" in result.findings[-1].what
-
-
-def test_a_handle_that_is_moved_is_not_pushed():
-    with Hand({"commissioning": True}) as hand:
-        hand.pull_n = 0.001
-        with pytest.raises(AnalysisError, match="take your hand off"):
-            measure_sign(hand.bench, nothing)
-        assert hand.bench.status().state == "disabled"
 
 
 def test_ctrl_c_ends_the_force():
@@ -119,19 +100,6 @@ def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
     written = write(file, result.changes, "rig motor", date(2026, 11, 22))
     assert written.limits.force_n < 0.7 * device.force_limit_n
     assert written.home.force_n == min(home_n, written.limits.force_n)
-
-
-def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
-    random = np.random.default_rng(3)
-    x = np.linspace(0.0, 1.0, 5)
-    slopes = intercepts = 0
-    for _ in range(1000):
-        found = line(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
-        inside = np.abs(found.values - (2.0, 0.5)) <= found.halves
-        slopes += inside[0]
-        intercepts += inside[1]
-    assert 930 <= slopes <= 970
-    assert 930 <= intercepts <= 970
 
 
 def test_a_push_ends_though_nobody_is_there_any_more():

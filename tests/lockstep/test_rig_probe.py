@@ -185,22 +185,6 @@ def test_the_probe_waits_for_verified_signs():
         assert hand.bench.status().state == "disabled"
 
 
-def test_authority_that_is_lost_ends_the_step():
-    with Hand(touch=FRICTION, **FREE) as hand:
-
-        def pressed(cmd, **fields):
-            answer = type(hand.bench).call(hand.bench, cmd, **fields)
-            if fields.get("action") == "start":
-                hand.axis.press_stop(True)
-            return answer
-
-        hand.bench.call = pressed
-        with pytest.raises(AnalysisError, match="force ended meanwhile"):
-            sine_run(hand.bench)
-        assert hand.bench.status().state == "fault"
-        assert not hand.bench.newest["perturbing"]
-
-
 def test_a_handle_that_wanders_off_is_let_go():
     with Hand(touch=FRICTION, **FREE) as hand:
 

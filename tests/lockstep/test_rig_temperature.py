@@ -71,19 +71,6 @@ def test_two_temperatures_give_the_scale_and_its_sign(per_count):
     assert changes["c_per_count"] == pytest.approx(abs(per_count), rel=1e-3)
 
 
-def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
-    random = np.random.default_rng(1)
-    scale = offset = 0
-    for _ in range(300):
-        truth = np.array([20.0, 50.0])
-        read = truth + 0.5 / 1.96 * random.standard_normal(2)
-        values = told(analyse(counts(*truth, offset=40.0), KnownTemperatures(tuple(read)), DEVICE))
-        scale += holds(values["temperature.c_per_count"], 0.01)
-        offset += holds(values["temperature.offset_count"], 40.0)
-    assert 275 <= scale <= 295
-    assert 275 <= offset <= 295
-
-
 @pytest.mark.parametrize(
     ("found", "stated", "name"),
     [
@@ -127,15 +114,6 @@ def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
     assert changes["emf_velocity", "sign"] == np.sign(gain)
 
 
-def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
-    exact = DEVICE | {"position": {"per_count": 1.0, "half_width_95": 0.0}}
-    hits = 0
-    for seed in range(100):
-        result = analyse_back_emf(shaken(1.1, seed=seed, noise=20.0), exact)
-        hits += holds(told(result)["emf_velocity.full_scale_m_per_s"], 2.2)
-    assert 90 <= hits <= 99
-
-
 @pytest.mark.parametrize(
     ("ticks", "name"),
     [
@@ -151,14 +129,6 @@ def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes
-
-
-def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
-    with Hand() as hand:
-        result = measure(hand.bench, hand.ask, KnownTemperatures((22.0,)), with_shake=False)
-        assert hand.bench.status().state == "disabled"
-    assert result.settled
-    assert holds(told(result)["temperature.offset_count"], 0.0)
 
 
 def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():

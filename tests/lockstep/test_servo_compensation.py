@@ -17,11 +17,10 @@ from support.winding_table import TABLE
 
 from benchmarks.thermal import RECORD, device
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams, ScaleParams
+from hapticd.core.params import ScaleParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import LockStep
-from hapticd.run.replay import Segment, replay
 from hapticd.servo.board_check import uncompensated
 from hapticd.servo.compensation import compensated
 from hapticd.servo.plan import (
@@ -66,22 +65,6 @@ def test_count_that_is_recorded_is_the_one_on_the_wire_to_the_last_frame():
 
 
 # --- from below -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("blind", [False, True])
-def test_winding_is_never_compensated_further_than_it_has(blind):
-    """200 windings anywhere inside what the device file calls possible, at random currents."""
-    random = Random(5)
-    host = BLIND if blind else ABLE
-    for _ in range(200):
-        scale = [random.uniform(0.9, 1.1), random.uniform(0.9, 1.1), random.uniform(15.0, 25.0)]
-        warm = Warm(params(), 8.0 * scale[0], 10.0 * scale[1], scale[2])
-        ampere = 0.0
-        for step in range(300):
-            if step % 60 == 0:
-                ampere = random.choice((0.0, 1.0, 2.0, 3.0))
-            warm.look(ampere, host=host)
-        assert warm.least > (0.03 if blind else 0.02)
 
 
 def test_honest_sensor_leaves_the_tolerance_at_every_temperature():
@@ -324,38 +307,11 @@ def test_checkpoint_in_the_middle_goes_on_to_the_same_bits():
         assert other[SETTLED].blob == flight.state[SETTLED].blob
 
 
-def test_replay_of_a_flight_sends_the_same_counts():
-    with LockStep(*device()) as stack:
-        start = flatten(stack.loop.state)
-        records = np.frombuffer(stack.run(3000), dtype=RECORD)
-    again = replay(device()[0], Segment(0, start, records, ()))
-    assert records["resistance_count"][-1] > 2500
-    assert again["resistance_count"].tolist() == records["resistance_count"].tolist()
-    assert again["torque"].tolist() == [
-        codec.decode_out(bytes(one)).torque for one in records["out_frame"]
-    ]
-
-
 def test_board_that_follows_its_winding_by_itself_gets_0():
     dac = Capability.RESISTANCE
     assert uncompensated(dac) == ""
     assert "by itself" in uncompensated(dac | Capability.RESISTANCE_TRACKED)
     assert "no resistance DAC" in uncompensated(Capability.TEMPERATURE)
-
-
-def test_board_that_restarts_is_compensated_anew():
-    away = InjectionParams("restart", tick=3000)
-    servo, board = device()
-    with LockStep(servo, replace(board, injections=(away,))) as stack:
-        ticks = np.frombuffer(stack.run(5000), dtype=RECORD)
-    counts = ticks["resistance_count"].astype(int)
-    assert counts[2990] > 2500
-    after = counts[3000:3100]
-    assert 0 in after
-    first = 3000 + int(np.flatnonzero(after == 0)[0])
-    steps = np.diff(counts[first:])
-    assert steps.max() * COUNT_OHM <= 0.1 * 0.151
-    assert counts[-1] == pytest.approx(counts[2990], abs=2)
 
 
 def test_shipped_device_is_the_one_of_these_tests(tmp_path: Path):

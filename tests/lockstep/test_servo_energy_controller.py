@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.boards import BOARD, board_params
 from support.flight import HEALTHY
-from support.leaking import CREDITED_NS_PER_M, Hand, LeakFlight, T, wander
+from support.leaking import CREDITED_NS_PER_M, LeakFlight, T, wander
 from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 from support.servo_energy_controller import (
@@ -27,13 +27,11 @@ from support.servo_energy_controller import (
     wall,
 )
 
-from hapticd.core.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
+from hapticd.core.params import ENERGY_LIMIT_J, SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.protocol.view import as_records
 from hapticd.render.energy import EXCESS, at_rest
 from hapticd.render.ramp import Ramp
 from hapticd.run import replay
-from hapticd.run.lockstep import LockStep
 from hapticd.servo.energy_controller import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
 from hapticd.servo.safety import State
@@ -45,29 +43,6 @@ def test_without_the_controller_it_diverges(lag_hz, delay, hand):
     free = against_a_wall(False, 0, lag_hz, delay, hand, ticks=2000)
     assert max(free.leaks) > 4.0 * BALANCE_J
     assert any(flags & Flag.CLAMPED for flags in free.flags)
-
-
-@pytest.mark.parametrize("on", [True, False])
-def test_whole_stack_leans_on_a_wall_at_five_times_its_limit(on):
-    """The simulated board, whose damping circuit reports what it does; 1 N on the handle."""
-    device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
-    safety = SafetyParams(limit_cycle_faults=on, energy_controller=on)
-    touch = TouchParams(hands=(HandParams("push", 1.0, force_n=1.0),))
-    with LockStep(servo_params(device=device, safety=safety), board_params(touch=touch)) as stack:
-        stack.run(5)
-        asked = wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0}
-        stack.do(Command.SET, asked)
-        stack.do(Command.ENABLE)
-        records = as_records(stack.run(2500))
-    assert records["state"][-1] == State.ENABLED
-    moves = np.ptp(records["position_m"][-300:])
-    if not on:
-        assert moves > 0.01
-        return
-    assert moves < 2e-6
-    assert np.abs(records["position_m"]).max() < 2e-3
-    assert records["excess_j"].max() < 2e-3
-    assert records["active_damping_effect_ns_per_m"][-1] == pytest.approx(CEILING)
 
 
 @pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
@@ -89,29 +64,6 @@ def test_board_that_does_not_report_its_damping_is_cut_after_a_trial(lag_hz, del
     assert held.plan.state is State.ENABLED
     assert max(held.leaks) < 0.9 * ENERGY_LIMIT_J
     assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, lag_hz)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_long_good_credit_does_not_delay_it(seed):
-    """Ten seconds of free motion with 1.74 N s/m of active damping, then that damping off and a
-    wall at five times its limit.
-    """
-    swung = Hand(0.008, 30.0, 0.5, wander_n=1.0)
-    late = flight(True, swung)
-    late.begun({Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
-    late.pushed(wander(swung, 10_000, seed))
-    credit_j = -late.leaks[-1]
-    assert credit_j > 0.02
-    assert not late.acted
-    late.do(Command.DAMPING, {Value.ACTIVE_DAMPING_ON: 0.0})
-    late.pushed([0.0] * 1000)  # at rest
-    before = len(late.leaks)
-    late.do(Command.SET, wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0})
-    late.hand = HANDS["bare"]
-    late.pushed(wander(late.hand, 1200, seed))
-    assert late.acted
-    fresh = np.array(late.leaks[before:])
-    assert (fresh - np.minimum.accumulate(fresh)).max() <= BALANCE_J
 
 
 def leaking(**others):

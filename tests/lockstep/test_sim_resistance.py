@@ -1,7 +1,6 @@
 """The simulated board's resistance DAC: what the circuit believes in, and who may move it."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from support.boards import ENABLE, TICK_NS, exchange, out_packet
@@ -11,8 +10,6 @@ from support.plant_devices import N_PER_A, alpha, weir_device
 from hapticd.core.params import BoardParams
 from hapticd.model.effects import Coulomb, WindingHeating, WindingTemperature
 from hapticd.model.tables import board_fields
-from hapticd.settings.build import board_params
-from hapticd.settings.load import Override, load
 from hapticd.sim.axis import Axis
 from hapticd.sim.board import BoardModel, hello
 from hapticd.usb.frames import Capability
@@ -120,15 +117,3 @@ def test_refused_out_leaves_the_count():
     broken[-1] ^= 1
     board.on_out(memoryview(broken), TICK_NS)
     assert board._axis.resistance_count == 12_000
-
-
-def test_shipped_device_that_warms_up_is_compensated(tmp_path: Path):
-    (tmp_path / "hapticd.toml").write_text('device = "warming"\n')
-    board = board_params(load(tmp_path / "hapticd.toml"))
-    assert board is not None
-    assert board.trim_full_scale_ohm == 0.8
-    assert hello(board).capabilities & Capability.RESISTANCE
-    lacking = Override(("simulation", "board", "lacks"), ["resistance"], "-")
-    other = board_params(load(tmp_path / "hapticd.toml", (lacking,)))
-    assert other is not None
-    assert not hello(other).capabilities & Capability.RESISTANCE

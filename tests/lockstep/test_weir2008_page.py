@@ -6,7 +6,6 @@ import importlib.util
 import json
 import re
 import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -156,14 +155,3 @@ def test_mark_without_its_row_is_refused(pages: ModuleType) -> None:
         ConfigError, match=r"table sets -->: the table has no part of that name; it has limits"
     ):
         pages.filled("<!-- table sets -->\n<!-- /table -->", [row])
-
-
-def test_page_of_trials_refuses_a_prediction(tmp_path: Path) -> None:
-    (tmp_path / "table.json").write_text('{"quick": true, "table": []}')
-    before = (DOCS / "reproduction.md").read_text()
-    done = subprocess.run(
-        [sys.executable, str(DOCS / "reproduce.py"), str(tmp_path)], capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert "predicted with --quick; the page tells of trials: run it without" in done.stderr
-    assert (DOCS / "reproduction.md").read_text() == before

@@ -20,7 +20,6 @@ from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
-from hapticd.usb import codec
 
 DTYPE = np.dtype([tuple(field) for field in TELEMETRY])
 LOST = (InjectionParams("drop_in", tick=900, count=2), InjectionParams("drop_out", tick=950))
@@ -61,43 +60,6 @@ def same(first: Records, second: Records, *but: str) -> None:
         assert np.array_equal(first[name], second[name]), name
 
 
-def pairs(records: Records) -> list[Any]:
-    """What the probe measured in each tick."""
-    return [codec.decode_in(bytes(one)).pairs for one in records["in_frame"]]
-
-
-def test_flight_is_the_same_over_the_wrap_of_the_boards_clock() -> None:
-    start_us = WORD - 1000 * BEFORE
-    here = flown()
-    there = flown(board_time_us=start_us)
-    same(here, there, "board_us")
-    assert np.ptp(there["board_us"] - here["board_us"]) == 0
-    assert there["board_us"][0] < WORD < there["board_us"][-1]
-    assert pairs(here) == pairs(there)
-
-
-def with_sequences(stack: LockStep) -> None:
-    """Both directions count 65,536 - BEFORE when the flight begins."""
-    ports = stack.backend._port  # type: ignore[attr-defined]
-    board = getattr(ports, "board", ports)
-    board._in_seq = 0x10000 - BEFORE
-    send = stack.device.send
-    cells = dict(zip(send.__code__.co_freevars, send.__closure__, strict=True))
-    cells["sent"].cell_contents = 0x10000 - BEFORE
-    board._next_seq = 0x10000 - BEFORE + 1
-    stack.run(3)  # a jump of the numbers is told as a gap, once
-
-
-def test_flight_is_the_same_over_the_wrap_of_both_sequences() -> None:
-    here = flown(lambda stack: stack.run(3) and None)
-    there = flown(with_sequences)
-    same(here, there)
-    echoes = [codec.decode_in(bytes(one)).echo for one in there["in_frame"]]
-    assert min(echoes) < 10
-    assert max(echoes) > 0xFFF0
-    assert pairs(here) == pairs(there)
-
-
 def with_ticks(stack: LockStep) -> None:
     """The tick of the servo, as after 49 days at 1 kHz."""
     shift = WORD - BEFORE  # whole periods of 256, by which the loop counts as well
@@ -122,16 +84,6 @@ def with_revisions(stack: LockStep) -> None:
     state = list(stack.loop.state)
     state[SETTLED] = replace(settled, plan=plan)
     stack.loop.state = tuple(state)
-
-
-def test_flight_is_the_same_over_the_wrap_of_revisions() -> None:
-    here = flown()
-    there = flown(with_revisions)
-    same(here, there, "revision", "environment_revision")
-    for name in ("revision", "environment_revision"):
-        behind = there[name].astype(np.int64)
-        assert behind.max() == WORD - 1
-        assert behind[-1] < 20
 
 
 def test_change_may_name_the_environment_that_is_in_force_over_its_wrap() -> None:

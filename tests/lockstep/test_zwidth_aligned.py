@@ -8,26 +8,17 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from support.foreign import BEFORE, SETTLE, played, recorded, without
+from support.foreign import BEFORE, SETTLE, recorded, without
 from support.measured_scenes import RIGID
-from support.recorded import RecordedFlight, Source, room
 
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
-from hapticd.core.clock import VirtualClock
-from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.layout import Command, Value
 from hapticd.model.excitation import MARK_LEAD
-from hapticd.recording.file import open_recording
-from hapticd.recording.recorder import RecordingParams, record
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
-from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals
-from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import MARK_SAMPLE
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, write
@@ -35,10 +26,8 @@ from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, wri
 SECONDS = 16.0
 ENVIRONMENT = (100.0, 1.0, 0.0)
 PPM = 50.0
-COUNTER = (1 << 48) - 30_000  # begins anew in the middle of the trial
 OFFSET = 6200.4  # row at the first sample of the record
 GAPS = ((25_000, 1), (38_000, 7), (52_000, 300))
-LOST = sum(lost for _, lost in GAPS)
 ROWS = 74_000
 
 
@@ -96,12 +85,6 @@ def written(path, force, velocity, gaps=GAPS, counter=None, names=("force", "vel
     return path
 
 
-def imported(path, own, capsys, *options):
-    assert main(["zwidth", "import", str(path), "--align", str(own), "--out",
-                 str(path.parent / "out"), "--json", *options]) == 0  # fmt: skip
-    return json.loads(capsys.readouterr().out)
-
-
 def test_aligned_trial_without_gaps_is_the_daemons_own(flown, foreign, tmp_path):
     """But for the half quarters of a second that it begins and ends with."""
     found = read_aligned(written(tmp_path / "other.csv", *foreign, ()), flown.folder)
@@ -118,25 +101,6 @@ def test_aligned_trial_without_gaps_is_the_daemons_own(flown, foreign, tmp_path)
     assert found.more["lost_samples"] == 0
 
 
-def test_aligned_trial_has_the_verdict_of_the_daemons_own(flown, foreign, tmp_path, capsys):
-    """Within its interval, though the file lost half a per cent of its samples."""
-    found = imported(written(tmp_path / "other.csv", *foreign), flown.folder, capsys)
-    own = flown.result.verdict
-    margin = found["verdict"]["margin_ns_per_m"]
-    assert found["verdict"]["answer"] == own.answer == "passive"
-    assert own.margin_ns_per_m.lower <= margin["value"] <= own.margin_ns_per_m.upper
-    assert margin["lower"] <= own.margin_ns_per_m.value <= margin["upper"]
-    assert list(found["environment"].values()) == list(ENVIRONMENT)
-    assert found["simulated"] is True
-    assert found["lost_slots"] == 0
-    assert found["lost_samples"] == pytest.approx(LOST, abs=6)
-    assert [gap["lost"] for gap in found["alignment"]["gaps"]] == [lost for _, lost in GAPS]
-    assert found["alignment"]["clock_ppm"] == pytest.approx(PPM, abs=0.2)
-    assert found["alignment"]["offset"] + found["alignment"]["offset_fraction"] == pytest.approx(
-        OFFSET, abs=0.01
-    )
-
-
 def test_sample_of_an_aligned_record_is_the_sample_of_the_own_one(flown, foreign, tmp_path):
     """Both channels, beside those that the daemon recorded: but for what was lost, the same."""
     found = read_aligned(written(tmp_path / "other.csv", *foreign), flown.folder)
@@ -148,30 +112,6 @@ def test_sample_of_an_aligned_record_is_the_sample_of_the_own_one(flown, foreign
                          (own.velocity_m_per_s, found.velocity_m_per_s)):  # fmt: skip
         alike = np.abs(theirs - mine[part]) < 0.05 * np.std(mine)
         assert np.mean(alike) > 0.99
-
-
-def test_counter_of_48_bits_that_begins_anew_tells_offset_and_gaps(flown, foreign, tmp_path):
-    path = written(tmp_path / "other.csv", *foreign, counter=COUNTER)
-    found = read_aligned(path, flown.folder, counter="counter")
-    alignment = found.more["alignment"]
-    assert alignment.offset == COUNTER + int(OFFSET)
-    assert alignment.offset_fraction == pytest.approx(OFFSET % 1.0, abs=0.01)
-    assert alignment.gaps == ()
-    assert f"its sample 0 is sample {COUNTER + int(OFFSET)}.39" in str(alignment)
-    assert found.more["lost_samples"] == pytest.approx(LOST, abs=6)
-
-
-def test_inverted_channels_are_turned_and_said_so(flown, foreign, tmp_path, capsys):
-    force, velocity = foreign
-    path = written(tmp_path / "other.csv", -force, velocity, ())
-    alignment = imported(path, flown.folder, capsys)
-    assert alignment["verdict"]["answer"] == "passive"
-    found = read_aligned(path, flown.folder)
-    assert "coefficient 1.000 (inverted: turned); velocity: gain 1," in str(found.more["alignment"])
-    assert str(found.more["alignment"]).count("inverted") == 1
-    own = flown.result.recorded.force_n
-    first = found.more["alignment"].first_sample
-    assert np.corrcoef(found.force_n, own[first : first + found.force_n.size])[0, 1] > 0.99
 
 
 @pytest.mark.parametrize(
@@ -239,16 +179,6 @@ def test_own_trial_without_a_mark_is_refused(flown, foreign, tmp_path):
         read_aligned(path, other)
 
 
-def test_mark_is_not_part_of_the_trial(flown, tmp_path):
-    """It ends half a second before the record begins; without it nothing is another."""
-    plain = Flown(tmp_path, mark=False)
-    assert MARK_SAMPLE not in plain.result.recorded.more
-    assert [len(find_marks(one.felt[0][:SETTLE])) for one in (flown, plain)] == [1, 0]
-    assert flown.result.recorded.more[MARK_SAMPLE] + 1023 < -1900
-    assert flown.result.recorded.force_n == pytest.approx(plain.result.recorded.force_n, abs=1e-4)
-    assert np.abs(flown.felt[0]).max() == pytest.approx(np.abs(plain.felt[0]).max(), rel=1e-3)
-
-
 def test_marked_trial_that_would_repeat_is_refused(tmp_path):
     scene = tmp_path / "rigid.toml"
     scene.write_text(RIGID)
@@ -265,39 +195,3 @@ def test_marked_trial_that_would_repeat_is_refused(tmp_path):
 def test_only_noise_on_a_bench_is_marked(options, capsys):
     assert main(["zwidth", "trial", *options, "--mark"]) == 2
     assert "only the noise of live and lockstep trials is marked" in capsys.readouterr().err
-
-
-def test_recording_of_the_daemon_is_an_own_record_too(tmp_path):
-    """`hapticd record` beside anything that plays a marked waveform."""
-    waveform = played(10.0)[BEFORE:-BEFORE]
-    with RecordedFlight() as flight:
-        scale = flight.params.device.probe_torque
-        flight.stack.run(5)
-        flight.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.VIRTUAL_DAMPING: 2.0})
-        flight.stack.do(Command.ENABLE)
-        flight.fly(600)
-        flight.stack.load_waveform(
-            [scale.to_count(one, -32768, 32767) for one in waveform.tolist()]
-        )
-        values = {Value.SAMPLES: float(waveform.size), Value.LOOP: 0.0}
-        flight.stack.do(Command.PERTURB_START, values)
-        flight.fly(11_000)
-    clock = VirtualClock(NS_PER_S)
-    path = tmp_path / "run.h5"
-    record(
-        Source(flight, clock), RecordingParams(path), lambda: False, clock=clock, free_bytes=room
-    )
-    own = read_file(path)
-    assert own.more[MARK_SAMPLE] == pytest.approx(MARK_LEAD - SETTLE, abs=8)
-    with open_recording(path) as recording:
-        felt = [recording.column("probe", name) for name in ("torque_n", "velocity_m_per_s")]
-    force, velocity = (recorded(channel, OFFSET, -PPM, channel.size) for channel in felt)
-    np.savez(tmp_path / "other.npz", force=force, velocity=velocity)
-    found = read_aligned(tmp_path / "other.npz", path)
-    alignment = found.more["alignment"]
-    assert found.rendered == Environment(50.0, 2.0, 0.0, active_damping_ns_per_m=0.0)
-    assert (found.more["lost_slots"], found.more["lost_samples"]) == (0, 0)
-    assert alignment.clock_ppm == pytest.approx(-PPM, abs=0.1)
-    part = slice(alignment.first_sample, alignment.first_sample + found.force_n.size)
-    assert np.corrcoef(found.force_n, own.force_n[part])[0, 1] > 0.999
-    assert np.corrcoef(found.velocity_m_per_s, own.velocity_m_per_s[part])[0, 1] > 0.999

@@ -31,7 +31,7 @@ from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, pool_of
 from hapticd.zwidth.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
-from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
+from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch
 from hapticd.zwidth.store import TrialStore
 
 
@@ -220,22 +220,6 @@ def test_tasks_of_a_pool_keep_to_one_core() -> None:
     with at_most(10_000):
         assert workers() == whole
     assert workers() == whole
-
-
-def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hapticd.zwidth.engine import batch
-
-    asked: list[int] = []
-
-    class Counted(batch.ThreadPoolExecutor):
-        def __init__(self, max_workers: int) -> None:
-            asked.append(max_workers)
-            super().__init__(max_workers=max_workers)
-
-    monkeypatch.setattr(batch, "ThreadPoolExecutor", Counted)
-    points = np.zeros((200, 3))  # several groups of lanes
-    executors.alone(run_trials, SHORT, 0.0, points)
-    assert asked == [1]
 
 
 @pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.core.params import HandParams, TouchParams
-from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
@@ -64,25 +62,6 @@ def flown(rigid, act):
     return found
 
 
-@pytest.mark.parametrize(
-    "act",
-    [
-        lambda bench: bench.set(K=400.0, B=1.0, M=0.0, active_damping=0.0),
-        lambda bench: bench.stack.do(
-            Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0}
-        ),
-        lambda bench: bench.perturb_stop(),
-    ],
-    ids=["environment", "active_damping", "perturbation"],
-)
-def test_trial_that_someone_changes_is_undecided(rigid, act):
-    found = flown(rigid, act)
-    assert found.verdict.answer == "undecided"
-    assert found.verdict.stability == "stable"
-    assert found.recorded.seconds < SECONDS
-    assert "another client changed the environment or the perturbation" in str(found.verdict)
-
-
 class Looped(LockStepClient):
     """Remembers whether the waveform was to be repeated."""
 
@@ -104,19 +83,6 @@ def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
             lambda what, done, total: None,
         )
         assert bench.looped is looped
-
-
-def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
-    """The handle was pushed far away when K = 800 N/m is enabled."""
-    servo, board = scene_params(rigid)
-    board = replace(board, touch=TouchParams(hands=(HandParams("push", force_n=1.0),)))
-    plan = plan_trial(TrialParams(Trial((800.0, 1.0, 0.0), seconds=SECONDS)))
-    with LockStepClient(servo, board) as bench:
-        bench.run(2000)
-        assert bench.newest["position_m"] > 0.015
-        with pytest.raises(AnalysisError, match="slow start: the gain was still rising"):
-            run_trial(plan, daemon_source(bench))
-        assert bench.status().state == "disabled"
 
 
 def test_trial_that_someone_ends_says_so(rigid):

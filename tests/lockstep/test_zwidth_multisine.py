@@ -10,11 +10,8 @@ from support.measured_scenes import RIGID
 
 from hapticd.core.errors import AnalysisError
 from hapticd.model.scene import Excitation
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.signal.assess import Criteria
-from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
@@ -58,25 +55,6 @@ def test_multisine_trial_lands_on_its_prediction(rigid):
         found.spectra.covers
         == "noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations"
         " of 1 periods"
-    )
-
-
-def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_engine(rigid):
-    scene = load_scene(rigid)
-    layout = MultisineLayout(6, 2)
-    by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
-    with LockStepClient(*scene_params(rigid)) as bench:
-        live = run_trial(shaken(layout, scene=scene), daemon_source(bench))
-        assert bench.status().state == "disabled"
-    assert live.verdict.answer == by_engine.verdict.answer == "passive"
-    assert live.recorded.more["lost_samples"] == 0
-    inside = (live.measured.frequency_hz >= 2.0) & (live.measured.frequency_hz <= 500.0)
-    ratio = live.measured.impedance_ns_per_m[inside] / by_engine.measured.impedance_ns_per_m[inside]
-    assert np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2)) < 3e-3
-    assert (
-        live.verdict.margin_ns_per_m.lower
-        <= by_engine.verdict.margin_ns_per_m.value
-        <= live.verdict.margin_ns_per_m.upper
     )
 
 

@@ -3,8 +3,6 @@
 The device is linear and narrow: some verdicts need the record, which is then made once more.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from support.measured_scenes import scene
@@ -14,11 +12,9 @@ from hapticd.core.arrays import Floats, Values
 from hapticd.signal import assess
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import run_trials
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import TrialStore, to_json
 
 
 def recorded(points: Floats, dtype: str = "f32", seed: int = 5) -> BatchResult:
@@ -57,20 +53,6 @@ def test_trials_and_seeds_have_noise_of_their_own() -> None:
     assert first.std() == pytest.approx(1e-3, rel=0.01)
     for other in (added(POINTS[2], 5), added(POINTS[1], 6)):
         assert abs(np.corrcoef(first, other)[0, 1]) < 4.0 / np.sqrt(first.size)
-
-
-def test_a_map_that_goes_on_is_the_map_that_was_not_interrupted(tmp_path: Path) -> None:
-    axes = (np.linspace(0.0, 900.0, 4), np.linspace(0.0, 0.6, 3), np.linspace(0.0, 0.002, 2))
-    plan = plan_map(MapParams(GIVEN, axes, (0.0,), everywhere=True))
-    whole = TrialStore(None)
-    run_map(plan, whole)
-    path = tmp_path / "trials.jsonl"
-    TrialStore(path).add(list(to_json(whole.known).items())[::3])
-    made = run_map(plan, TrialStore(path)).made
-    assert 0 < made < plan.trials
-    known = to_json(whole.known)
-    assert to_json(TrialStore(path).known) == {key: known[key] for key in TrialStore(path).known}
-    assert len(TrialStore(path).known) == plan.trials
 
 
 def test_a_verdict_is_made_again_by_the_record_of_its_own_spectra(

@@ -22,10 +22,6 @@ def board() -> Iterator[VirtualBoard]:
         yield board
 
 
-def tick(board: VirtualBoard) -> int:
-    return int(board.newest["tick"])
-
-
 def test_a_change_beyond_a_limit_is_refused_with_value_and_limit(board: VirtualBoard) -> None:
     with pytest.raises(CommandError) as caught:
         board.set(K=1e9)
@@ -100,17 +96,6 @@ def test_a_condition_that_nobody_feels_is_no_row(board: VirtualBoard, tmp_path: 
     assert len(path.read_text().splitlines()) == 2  # the header, and what was felt
 
 
-def test_a_silent_client_loses_its_lease_and_one_that_sleeps_in_it_does_not(
-    board: VirtualBoard,
-) -> None:
-    with board.lease("environment", ttl_s=2.0) as lease:
-        lease.sleep(10.0)
-        board.set(K=10)
-    with pytest.raises(CommandError, match="lease"), board.lease("environment", ttl_s=2.0):  # noqa: PT012
-        board.sleep(10.0)
-        board.set(K=20)
-
-
 def test_a_sequence_acts_at_its_ticks(board: VirtualBoard) -> None:
     steps = [
         step("damping", value="on"),
@@ -124,24 +109,6 @@ def test_a_sequence_acts_at_its_ticks(board: VirtualBoard) -> None:
     ticks = [one.tick for one in done]
     assert np.diff(ticks)[1:3].tolist() == [500, 1000]
     assert len({one.revision for one in done}) == len(done)
-
-
-def test_the_hand_moves_the_handle(board: VirtualBoard) -> None:
-    assert board.record(0.5)[0]["position_m"].std() == 0.0
-    with hapticd.virtual_board(hand=True) as held:
-        assert 2e-4 < held.record(2.0)[0]["position_m"].std() < 2e-3
-
-
-def test_two_boards_repeat_each_other_to_the_bit() -> None:
-    records = []
-    for _ in range(2):
-        with hapticd.virtual_board(hand=True) as board:
-            board.damping("on")
-            board.enable()
-            board.set(K=100)
-            records.append(board.record(0.5)[0])
-    for name in ("position_m", "force_n", "tick", "revision"):
-        assert np.array_equal(*(one[name] for one in records))
 
 
 def test_asyncio_has_the_same_board(board: VirtualBoard) -> None:

@@ -116,7 +116,7 @@ def _replaced(text: str, change: Change) -> str:
     places = list(_statements(scope, wanted))
     expression = len(wanted) == 1 and isinstance(wanted[0], ast.Expr) and not places
     if expression:
-        places = list(_expressions(scope, ast.dump(wanted[0].value)))
+        places = list(_expressions(scope, wanted[0].value))
     if len(places) != 1:
         where = change.function or "the module"
         raise DoesNotApply(f"{len(places)} times in {where}, not once:\n{change.old}")
@@ -141,20 +141,33 @@ def _own(tree: ast.AST) -> Iterator[ast.AST]:
             yield from _own(node)
 
 
+def same_syntax(one: object, other: object) -> bool:
+    """Whether two trees are equal, but for positions; it ends at the first difference."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, ast.AST):
+        return all(
+            same_syntax(getattr(one, name, None), getattr(other, name, None))
+            for name in one._fields
+        )
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same_syntax, one, other))
+    return one == other
+
+
 def _statements(scope: ast.AST, wanted: list[ast.stmt]) -> Iterator[_Place]:
-    dumps = [ast.dump(one) for one in wanted]
     for node in ast.walk(scope):
         for _, block in ast.iter_fields(node):
             if not (isinstance(block, list) and block and isinstance(block[0], ast.stmt)):
                 continue
             for begin in range(len(block) - len(wanted) + 1):
                 run = block[begin : begin + len(wanted)]
-                if [ast.dump(one) for one in run] == dumps:
+                if same_syntax(run, wanted):
                     yield _Place(run, len(run) == len(block))
 
 
-def _expressions(scope: ast.AST, wanted: str) -> Iterator[_Place]:
-    if isinstance(scope, ast.expr) and ast.dump(scope) == wanted:
+def _expressions(scope: ast.AST, wanted: ast.expr) -> Iterator[_Place]:
+    if same_syntax(scope, wanted):
         yield _Place([scope])
     if not isinstance(scope, ast.JoinedStr):  # the parts of an f-string have no exact position
         for node in ast.iter_child_nodes(scope):

@@ -22,6 +22,7 @@ def trees(folder: str) -> dict[str, ast.Module]:
 def none_is_kept() -> Iterator[None]:
     """A million nodes of syntax would slow every later collection of garbage."""
     yield
+    offered_by.cache_clear()
     trees.cache_clear()
 
 
@@ -37,6 +38,12 @@ def offered(tree: ast.Module) -> set[str]:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
             return set(ast.literal_eval(node.value))
     return set()
+
+
+@cache
+def offered_by(module: str) -> set[str]:
+    """The names that a module of the package offers."""
+    return offered(trees("hapticd")[module])
 
 
 def taken(module: str, tree: ast.Module) -> set[tuple[str, str]]:
@@ -55,7 +62,7 @@ def unnamed(module: str, tree: ast.Module) -> list[str]:
     return [
         f"{module}: {other}.{name}"
         for other, name in sorted(taken(module, tree))
-        if name not in offered(trees("hapticd")[other])
+        if name not in offered_by(other)
     ]
 
 
