@@ -459,8 +459,8 @@ def test_simulated_board_needs_a_plant(tmp_path: Path) -> None:
     found = message(tmp_path, "", SIMULATED.split("[plant]")[0])
     assert (
         found
-        == "devices/simulated.toml: plant: is missing; a simulated board needs to know what it"
-        " moves"
+        == "devices/simulated.toml: plant: is missing; a simulated board needs a device to"
+        " move"
     )
 
 

@@ -289,7 +289,7 @@ def test_plant_and_model_exclude_each_other(tmp_path: Path) -> None:
     (tmp_path / "devices" / "both.toml").write_text(whole + "\n" + rigid[rigid.index("[plant]") :])
     (tmp_path / "hapticd.toml").write_text('device = "both"')
     with pytest.raises(
-        ConfigError, match=r"both.toml:\d+: plant: stands beside \[model\]; keep one of them"
+        ConfigError, match=r"both.toml:\d+: plant: is there as well as \[model\]; keep one of them"
     ):
         load(tmp_path / "hapticd.toml")
 
