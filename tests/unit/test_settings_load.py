@@ -458,8 +458,7 @@ def test_device_file_is_checked(tmp_path: Path, change: tuple[str, str]) -> None
 def test_simulated_board_needs_a_plant(tmp_path: Path) -> None:
     found = message(tmp_path, "", SIMULATED.split("[plant]")[0])
     assert (
-        found
-        == "devices/simulated.toml: plant: is missing; a simulated board needs a device to"
+        found == "devices/simulated.toml: plant: is missing; a simulated board needs a device to"
         " move"
     )
 

@@ -82,8 +82,8 @@ Where = Annotated[
         "--executor",
         metavar="auto|thread|process|dask://HOST:PORT",
         help=(
-            "Where trials run: on threads here, in a process a core, or on the workers of a Dask"
-            " scheduler (extra: cluster); auto: processes for a map of thousands of trials, else"
+            "Executor of trials: threads, one process per core, or the workers of a Dask scheduler"
+            " (extra: cluster); auto: processes for a map of thousands of trials, otherwise"
             " threads."
         ),
     ),

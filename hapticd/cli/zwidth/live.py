@@ -72,8 +72,8 @@ def announce(
     )
     if rig.skew_s:
         terminal.talk(
-            f"the device file says that the probe's velocity is {US_PER_S * rig.skew_s:.3g} us"
-            f" later than its force; {US_PER_S * skew_s:.3g} us are taken out"
+            f"by the device file, the probe's velocity lags its force by"
+            f" {US_PER_S * rig.skew_s:.3g} us; {US_PER_S * skew_s:.3g} us are corrected"
         )
     if trial.environment[0] == 0.0:
         terminal.talk(

@@ -49,7 +49,7 @@ LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all othe
 MARKED = ("lockstep", "live")  # sources whose perturbation can begin with a mark
 SOURCES = (
     "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device,"
-    " ENABLED by this, with these K, B, M also afterwards; else a FILE."
+    " which this ENABLES and leaves with these K, B, M; otherwise a FILE."
 )
 STOPPED = 5  # exit code of a trial after which the device is stopped, or in fault
 ENGINE_SCENE = "fig4"  # default of engine and lockstep
@@ -189,8 +189,8 @@ class FileOptions:
         typer.Option(
             "--skew",
             metavar="S",
-            help="Known delay of the velocity channel behind the force, taken out; left out: for"
-            " a live trial that of the device file, else 0.",
+            help="Known delay of the velocity channel behind the force, to be corrected"
+            " (default: that of the device file for a live trial, otherwise 0).",
         ),
     ] = None
     high_pass: Annotated[
@@ -525,13 +525,13 @@ def draw_trial(
 def import_record(
     source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)],
     stiffness: Annotated[
-        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
+        float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Rendered K.")
     ] = None,
     viscous: Annotated[
-        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")
+        float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="Rendered B.")
     ] = None,
     mass: Annotated[
-        float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
+        float | None, typer.Option("-M", "--mass", metavar="KG", help="Rendered M.")
     ] = None,
     active_damping: common.OneDamping = None,
     align: Annotated[
@@ -540,7 +540,7 @@ def import_record(
             "--align",
             metavar="OWN",
             callback=terminal.there,
-            help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
+            help="hapticd's own marked record of the same trial: it gives clock and gaps of FILE.",
         ),
     ] = None,
     *,
