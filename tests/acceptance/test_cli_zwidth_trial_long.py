@@ -161,7 +161,7 @@ def test_live_trial_takes_out_the_skew_of_the_device_file(
     kept = json.loads((tmp_path / "run.json").read_text())
     assert kept["skew_taken_out_s"] == pytest.approx(taken_out_s)
     assert "44.5 us later than its force" in err
-    assert f"{1e6 * taken_out_s:.3g} us are taken out" in err
+    assert f"{1e6 * taken_out_s:.3g} us are corrected" in err
 
 
 def test_live_trial_that_leaves_the_device_in_fault_ends_with_5(monkeypatch, tmp_path, capsys):
