@@ -160,7 +160,7 @@ def test_live_trial_takes_out_the_skew_of_the_device_file(
     assert code == 0
     kept = json.loads((tmp_path / "run.json").read_text())
     assert kept["skew_taken_out_s"] == pytest.approx(taken_out_s)
-    assert "44.5 us later than its force" in err
+    assert "lags its force by 44.5 us" in err
     assert f"{1e6 * taken_out_s:.3g} us are corrected" in err
 
 
