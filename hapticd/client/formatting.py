@@ -4,7 +4,7 @@ Its imports must be small, because `hapticd --help` loads it. An event of an unk
 by its fields.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -177,12 +177,19 @@ def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 # --- events ---------------------------------------------------------------------------------------
-_HIDDEN = {"timestamp", "kind", "actor", "id", "number", "epoch"}
+_HIDDEN = {"timestamp", "kind", "code", "actor", "id", "number", "epoch"}
+_WHOLE = ("state", "servo_up", "servo_down", "gap", "flight")  # whose text needs no kind before it
 
 
 def event_words(event: Event) -> str:
     """What happened, to whom and by whom, without its time."""
-    return _WORDS.get(event.kind, _plain)(event)
+    if event.kind == "answer":
+        return f"{event.cmd} of {event.name}: {event.text or event.result}"
+    if event.kind == "mark":
+        return f"mark: {event.text} (by {event.name}, tick {event.tick})"
+    if not event.text:
+        return _plain(event)
+    return event.text if event.kind in _WHOLE else f"{event.kind}: {event.text}"
 
 
 def _plain(event: Event) -> str:
@@ -190,54 +197,3 @@ def _plain(event: Event) -> str:
     given = {name: value for name, value in asdict(event).items() if value != usual[name]}
     shown = [f"{name} {value}" for name, value in given.items() if name not in _HIDDEN]
     return f"{event.kind}: {', '.join(shown)}"
-
-
-def _state(event: Event) -> str:
-    by = f" (by {event.name})" if event.name else ""
-    change = f"{event.before} -> {event.state}{by}"
-    if event.state != "fault":
-        return change
-    return f"{change}: {event.fault}: {event.cause}; {event.remedy}"
-
-
-def _flight(event: Event) -> str:
-    return f"flight recording of {event.reason}: {event.path}"
-
-
-def _mark(event: Event) -> str:
-    return f"mark: {event.text} (by {event.name}, tick {event.tick})"
-
-
-def _text(event: Event) -> str:
-    return f"{event.kind}: {event.text}"
-
-
-def _answer(event: Event) -> str:
-    return f"{event.cmd} of {event.name}: {event.text or event.result}"
-
-
-def _up(event: Event) -> str:
-    return "the servo runs"
-
-
-def _down(event: Event) -> str:
-    return "the servo has ended, or does not answer any more"
-
-
-def _lost(event: Event) -> str:
-    return f"{event.lost} ticks were overwritten before telemetry had read them"
-
-
-_WORDS: dict[str, Callable[[Event], str]] = {
-    "state": _state,
-    "flight": _flight,
-    "mark": _mark,
-    "warning": _text,
-    "guard": _text,
-    "lease": _text,
-    "controlled": _text,
-    "answer": _answer,
-    "servo_up": _up,
-    "servo_down": _down,
-    "gap": _lost,
-}

@@ -62,7 +62,7 @@ NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
 class Shortfall(NamedTuple):
     """Too little is delivered: whether to warn, and whether to ask for the fault."""
 
-    text: str
+    estimate: Estimate
     warn: bool
     fault: bool
 
@@ -203,17 +203,7 @@ class Delivered:
         warn = not self._warned
         self._warned = True
         self._faulted = self._faulted or fault
-        return [Shortfall(estimate_text(found), warn, fault)] if warn or fault else []
-
-
-def estimate_text(found: Estimate) -> str:
-    """That too little is delivered, in words."""
-    percent = 100.0 * (found.ratio or 0.0)
-    return (
-        f"active damping: {found.estimate_ns_per_m:.3g} N s/m ({found.low:.3g} to {found.high:.3g})"
-        f" delivered of {found.commanded:.3g} N s/m commanded, {percent:.0f} %, by {found.basis};"
-        " look at the amplifier, its supply and the resistance compensation"
-    )
+        return [Shortfall(found, warn, fault)] if warn or fault else []
 
 
 def _measured(records: Records, device: DeviceParams) -> Flags:

@@ -14,7 +14,7 @@ from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import forbidden
-from hapticd.protocol.journal import GATEWAY_ACTOR
+from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 
@@ -49,7 +49,8 @@ class PendingChange:
     ramp_end_tick: int = 0
     seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
     since_ns: int = 0  # the last stage was posted, or something moved
-    taken_back: str = ""  # why no further stage shall come, while one is with the servo
+    # why no further stage shall come, while one is with the servo, and fields that tell it
+    taken_back: tuple[EventCode, dict[str, Any]] | None = None
     former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
     held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 

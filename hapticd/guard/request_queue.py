@@ -43,7 +43,7 @@ from hapticd.mailbox.layout import ANY_TERMS, LATCHED, Command, Result, Value, v
 from hapticd.protocol.codec import INTERNAL_REQUEST
 from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
 from hapticd.protocol.explanation import Reason, because
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, sentence
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Change, Damping
 from hapticd.protocol.view import ServoView
@@ -169,7 +169,7 @@ class GuardedQueue:
         for change in self._waits():
             if change.enables:
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
-        self._under_way.take_back(lambda change: change.enables, f"{why} was asked meanwhile")
+        self._under_way.take_back(lambda change: change.enables, "asked_meanwhile", by_cmd=why)
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
@@ -178,7 +178,7 @@ class GuardedQueue:
         for change in self._waits_of(actor):
             self._drop(change)
         self._under_way.take_back(
-            lambda change: change.enables and change.actor == actor, "its connection is gone"
+            lambda change: change.enables and change.actor == actor, "client_gone"
         )
 
     def heard(self, answer: Answer) -> None:
@@ -190,10 +190,9 @@ class GuardedQueue:
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
-        why = "its client has failed"
         for change in self._waits_of(actor):
-            self._end(change, "refused", why)
-        self._under_way.take_back(lambda change: change.actor == actor, why)
+            self._end(change, "refused", sentence("client_failed"))
+        self._under_way.take_back(lambda change: change.actor == actor, "client_failed")
 
     def _waits(self) -> list[PendingChange]:
         """What has no verdict yet, in the order in which it came."""
@@ -267,7 +266,7 @@ class GuardedQueue:
         number = self._guard.terms_number
         change = self._under_way.change
         if number != ANY_TERMS and change is not None and change.terms != number:
-            self._under_way.cancel("the guard goes by other terms than it was judged by")
+            self._under_way.cancel("other_terms")
         mailbox = self._view.mailbox
         if mailbox is None or not self._view.record or self._terms_sent == (self._life, number):
             return

@@ -381,8 +381,7 @@ class Guard:
             self._timing = {"measured": about.delay_periods is not None, **timing}
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
-            text = f"what is in force is not known to be passive any more: {verdict.get('text')}"
-            self._journal.note("warning", text=text)
+            self._journal.note("not_passive", guard=verdict, reason=verdict.get("text"))
 
     def _expire(self, now_ns: int) -> None:
         if self._worker is None:
@@ -406,15 +405,8 @@ class Guard:
         self._hand = self._send(question, now_ns), about
 
     def _tell_hand(self, about: dict[str, Any], hand: Any) -> None:
-        found = hand if isinstance(hand, dict) else {}
-        text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
-        text += f"; {found['growth']}" if found.get("growth") else ""
-        self._journal.note(
-            "guard",
-            **about,
-            hand=found or None,
-            text=text or "no single mass or spring was found that would shake the device",
-        )
+        found = hand if isinstance(hand, dict) and hand.keys() >= {"text", "growth"} else None
+        self._journal.note("hand" if found else "no_hand", **about, hand=found)
 
     # --- the topic --------------------------------------------------------------------------------
 

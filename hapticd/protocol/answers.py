@@ -230,7 +230,8 @@ class LeaseReleased:
 
     what: str = ""
     released: bool = False  #: whether it was held until then
-    text: str = ""  #: how it ended
+    code: str = ""  #: how it ended: a `journal.EventCode`
+    text: str = ""  #: the same in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,16 +353,6 @@ class Room:
         """Whether less than a quarter of the period is left."""
         return self.tick_us > (1.0 - LEAST_IDLE_SHARE) * self.period_us
 
-    @property
-    def text(self) -> str:
-        """The warning."""
-        share = 100.0 * self.tick_us / self.period_us
-        return (
-            f"a tick takes {self.tick_us:.0f} us of its {self.period_us:.0f} us ({share:.0f} %, at"
-            f" most {100.0 * (1.0 - LEAST_IDLE_SHARE):.0f} % is safe): ticks will be late; set"
-            f" realtime.rate_hz to {self.highest_rate_hz:g} or less, or see `hapticd doctor`"
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Receipt):
@@ -370,6 +361,7 @@ class Event(Receipt):
     """
 
     kind: str = ""  #: see `journal`; a newer daemon may have others
+    code: str = ""  #: which event of that kind: a `journal.EventCode`
     timestamp: float = 0.0  #: Unix time, s
     tick: int = -1
     actor: int = 0  #: whose doing it was
@@ -386,18 +378,30 @@ class Event(Receipt):
     seq: int = 0  #: of the record after a gap
     lost: int = 0  #: records in the gap
     epoch: int = 0  #: monotonic time at which the servo started, ns
-    path: str = ""  #: of a flight recording
-    reason: str = ""  #: why it was written
+    path: str = ""  #: of a flight recording, or of a file of keys
+    reason: str = ""  #: why it was written, or why something failed
+    error: str = ""  #: code of a refusal
     what: str = ""  #: that is leased
-    change: str = ""  #: of the lease: taken, or how it ended
-    by: str = ""  #: who took it over
+    by: str = ""  #: who took the lease over
+    ttl_s: float = 0.0  #: of the lease
+    by_cmd: str = ""  #: of the request because of which the rest of a change is not done
+    by_actor: int = 0  #: who asked it
+    reported_ns_per_m: float | None = None  #: active damping that the board reports
+    needed_ns_per_m: float | None = None  #: that the next stage waited for
     excess_j: float | None = None  #: energy that leaked
     tick_us: float = 0.0  #: that a tick takes of its period, where that is too much
     period_us: float = 0.0
     highest_rate_hz: float = 0.0  #: that would leave enough
-    address: str = ""  #: of a listener that was refused
-    times: int = 0  #: how often
-    text: str = ""  #: in words
+    percent: float = 0.0  #: of the period, or of the active damping that is commanded
+    delivered: Delivered | None = None  #: of the active damping, where it is too little
+    asked: dict[str, Any] = field(default_factory=dict)  #: of the guard, before the gateway started
+    configured: dict[str, Any] = field(default_factory=dict)  #: for the guard
+    terms: dict[str, Any] = field(default_factory=dict)  #: by which the guard judges from now on
+    mode: str = ""  #: of the active damping, if the guard chooses it
+    address: str = ""  #: of a listener that was refused, or at which telemetry is offered
+    port: int = 0  #: that is taken
+    times: int = 1  #: how often
+    text: str = ""  #: one sentence made of these
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -28,17 +28,14 @@ from typing import Any, NamedTuple
 
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S, round_half_up
+from hapticd.protocol.journal import EventCode, sentence
 
 __all__ = [
     "DAMPING",
     "ENVIRONMENT",
-    "FAILED",
-    "GONE",
     "MEASURING",
     "PARTS",
     "PERTURBATION",
-    "RELEASED",
-    "SILENT",
     "Ended",
     "Lease",
     "Leases",
@@ -56,12 +53,6 @@ PARTS = {
 }
 LATE_NS = NS_PER_S // 2  # between two passes: nobody was heard meanwhile
 MOST_LOST = 1024  # losses that are remembered
-
-RELEASED = "released"
-TAKEN_OVER = "taken over"
-SILENT = "silent"
-GONE = "gone"
-FAILED = "failed"
 
 
 class Lease(NamedTuple):
@@ -84,21 +75,20 @@ class Ended(NamedTuple):
     """A lease that is no more, and why."""
 
     lease: Lease
-    how: str  # RELEASED | TAKEN_OVER | SILENT | GONE | FAILED
+    how: EventCode
     by: str = ""  # who took it over
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Of its event."""
+        lease = self.lease
+        about = {"what": lease.what, "actor": lease.actor, "name": lease.name}
+        return about | {"by": self.by, "ttl_s": lease.ttl_ns / NS_PER_S}
 
     @property
     def text(self) -> str:
         """What happened to it, in words."""
-        ttl_s = self.lease.ttl_ns / NS_PER_S
-        words = {
-            RELEASED: "was released",
-            TAKEN_OVER: f"was taken over by {self.by}",
-            SILENT: f"ended: its holder was silent for {ttl_s:g} s",
-            GONE: "ended with the connection of its holder",
-            FAILED: "ended: its holder failed",
-        }
-        return f"the lease of {self.lease.what} by {self.lease.holder} {words[self.how]}"
+        return sentence(self.how, **self.fields)
 
 
 class Leases:
@@ -150,7 +140,9 @@ class Leases:
         ]
         if others and not take_over:
             raise self._refusal(others[0])
-        ended = [self._end(lease, TAKEN_OVER, f"{name} (actor {actor})") for lease in others]
+        ended = [
+            self._end(lease, "lease_taken_over", f"{name} (actor {actor})") for lease in others
+        ]
         ttl_ns = round_half_up(ttl_s * NS_PER_S)
         self._held[what] = Lease(what, actor, name, ttl_ns, at_end, self._now_ns + ttl_ns)
         self._acknowledge(actor, what)
@@ -165,9 +157,9 @@ class Leases:
             )
         self.heard(actor)
 
-    def release(self, what: str, actor: int, how: str = RELEASED) -> Ended:
+    def release(self, what: str, actor: int, how: EventCode = "lease_released") -> Ended:
         """End the lease of `what`, or own up to its loss; how it ended, then or before. `how` is
-        FAILED where the holder gives up because of an error of its own.
+        `lease_failed` where the holder gives up because of an error of its own.
 
         CommandError: another holds it, or nobody does; nothing changed.
         """
@@ -195,12 +187,12 @@ class Leases:
         if not 0 <= step_ns <= LATE_NS:
             self._put_off(step_ns)
         late = [lease for lease in self._held.values() if lease.deadline_ns <= now_ns]
-        return [self._end(lease, SILENT) for lease in late]
+        return [self._end(lease, "lease_silent") for lease in late]
 
     def leave(self, actor: int) -> list[Ended]:
         """The connection of `actor` is gone; the leases that end with it."""
         mine = [lease for lease in self._held.values() if lease.actor == actor]
-        return [self._end(lease, GONE) for lease in mine]
+        return [self._end(lease, "lease_gone") for lease in mine]
 
     def shown(self) -> dict[str, dict[str, Any]]:
         """What is held: {what: {name, actor, left_s, ttl_s, at_end}}, for people and messages."""
@@ -223,10 +215,10 @@ class Leases:
         for lease in list(self._held.values()):
             self._held[lease.what] = lease._replace(deadline_ns=lease.deadline_ns + step_ns)
 
-    def _end(self, lease: Lease, how: str, by: str = "") -> Ended:
+    def _end(self, lease: Lease, how: EventCode, by: str = "") -> Ended:
         del self._held[lease.what]
         ended = Ended(lease, how, by)
-        if how not in (RELEASED, FAILED):
+        if how not in ("lease_released", "lease_failed"):
             for part in PARTS[lease.what]:
                 self._lost[lease.actor, part] = ended
         while len(self._lost) > MOST_LOST:

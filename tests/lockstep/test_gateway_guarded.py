@@ -133,12 +133,16 @@ def test_refusal_carries_the_verdict_and_nothing_moves(
 
 def test_hand_follows_as_an_event(rig: CommandServerRig, worker: StubWorker) -> None:
     found = {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12, "hz": 34.0, "radius": 1.01}
+    found["growth"] = "its motion doubles in 70 ms"
     worker.script = lambda asked: {"hand": found} if asked["ask"] == "hand" else refuses(asked)
     error = under(rig, "refuse").ask(cmd="set", id=9, K=100)["error"]
     later(rig, 2)
     (event,) = [one for one in rig.journal.drain() if one["kind"] == "guard"]
     assert (event["id"], event["cmd"], event["number"]) == (9, "set", error["guard"]["number"])
-    assert event["text"] == "a hand that would shake the device: a mass of 120 g, at 34 Hz"
+    assert (event["code"], event["hand"]) == ("hand", found)
+    assert event["text"] == (
+        "a hand that would shake the device: a mass of 120 g, at 34 Hz; its motion doubles in 70 ms"
+    )
     assert worker.asked[-1]["environment"]["K"] == 100
 
 
