@@ -20,7 +20,7 @@ The life of a request:
     status              the policy in force, and what the worker last said
     request_queue       requests on their way past the guard
     pending             one of them, and its stages as the worker names them
-    question, refusals  what the worker is asked; what is said where it has not judged
+    refusals            what is said where the worker has not judged
     scheduled           changes that the servo holds for later ticks
     outstanding         commands that were posted, until they are answered
     stages              the change of several stages that is under way

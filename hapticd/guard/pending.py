@@ -96,6 +96,17 @@ def ends_force(request: Request, target: Environment) -> bool:
     return target.changed(request.change(0.0)).empty
 
 
+def former(request: Request, before: list[dict[str, Any]], target: Environment) -> dict[str, Any]:
+    """What a bounded change brings back at its end: `target`, with what is scheduled `before` it;
+    {} for one without an end.
+    """
+    if not request.end_tick:
+        return {}
+    for fields in before:
+        target = target.changed(fields)
+    return target.fields(request.change(0.0))
+
+
 def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:
     """The stages of an answer that says to do something. ValueError: they are not understood."""
     stages = answer.get("stages")

@@ -31,8 +31,13 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.pending import PendingChange, ends_force, forbidden_by, stages_of
-from hapticd.guard.question import former, question
+from hapticd.guard.pending import (
+    PendingChange,
+    ends_force,
+    forbidden_by,
+    former,
+    stages_of,
+)
 from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
 from hapticd.guard.scheduled import ScheduledChanges
 from hapticd.guard.stages import ChangeReply, StagedChange
@@ -127,7 +132,7 @@ class GuardedQueue:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
         whole = len(changed_parts(change.request)) == 1
-        plain = whole and not change.at_tick and not self._auto(change)
+        plain = whole and not change.at_tick and not self._guard.chooses_level(change)
         plain = plain and not change.request.end_tick
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
@@ -308,13 +313,8 @@ class GuardedQueue:
 
     def _asks(self, change: PendingChange) -> bool:
         """Whether a worker is there to be asked, and the policy wants it."""
-        wanted = self._policy(change) != "off" or self._auto(change)
+        wanted = self._policy(change) != "off" or self._guard.chooses_level(change)
         return wanted and self._guard.worker in ("up", "starting")
-
-    def _auto(self, change: PendingChange) -> bool:
-        """Whether the level of damping is the guard's to choose once `change` is in force."""
-        asked = change.request.auto
-        return self._guard.mode == "auto" if asked is None else asked
 
     def _begin(self, now_ns: int) -> None:
         change = self._queue[0]
@@ -379,8 +379,7 @@ class GuardedQueue:
         ends = self._scheduled.ends(change.at_tick, change.request.end_tick)
         change.former = former(change.request, [*before, *ends], guard.in_force.target())
         after = [*filter(None, [change.former]), *after]
-        asked = question(change, before, after, self._auto(change), guard, self._view)
-        change.number = guard.ask(asked, now_ns)
+        change.number = guard.ask(change, before, after, now_ns)
         self._asked = change
 
     def _hear(self, change: PendingChange, now_ns: int, idle: bool) -> None:
@@ -512,7 +511,7 @@ class GuardedQueue:
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
             # in force, whatever its verdict: mode auto must not choose again meanwhile
-            self._guard.set_auto(self._auto(change))
+            self._guard.set_auto(self._guard.chooses_level(change))
             return None
         if result is Result.SCHEDULED:
             fields = change.request.change(self._guard.in_force.level)
@@ -532,7 +531,7 @@ class GuardedQueue:
         return ChangeReply(change, error)
 
     def _applied(self, change: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        self._guard.set_auto(self._auto(change))
+        self._guard.set_auto(self._guard.chooses_level(change))
         if self._under_way.applied(change, answer, now_ns):
             if change.taken_back:
                 return self._under_way.taken_back(change)

@@ -8,7 +8,9 @@ A change must not be kept after its servo has ended: every later verdict would c
 
 from typing import Any, NamedTuple
 
-__all__ = ["ScheduledChanges"]
+__all__ = ["Fields", "ScheduledChanges"]
+
+Fields = dict[str, Any]  # of an environment, nested as in `set`
 
 
 class ScheduledChange(NamedTuple):
@@ -16,7 +18,7 @@ class ScheduledChange(NamedTuple):
 
     tick: int
     seq: int
-    fields: dict[str, Any]  # nested as in `set`
+    fields: Fields
 
 
 class ScheduledChanges:
@@ -29,7 +31,7 @@ class ScheduledChanges:
         """Another servo holds none of them."""
         self._changes.clear()
 
-    def add(self, tick: int, seq: int, fields: dict[str, Any]) -> None:
+    def add(self, tick: int, seq: int, fields: Fields) -> None:
         """Command `seq` changes `fields` at `tick`."""
         self._changes[seq] = ScheduledChange(tick, seq, fields)
 
@@ -39,7 +41,7 @@ class ScheduledChanges:
         if not applied:
             self._changes.pop(-seq, None)
 
-    def ends(self, at_tick: int, until_tick: int) -> list[dict[str, Any]]:
+    def ends(self, at_tick: int, until_tick: int) -> list[Fields]:
         """What the ends of changes in force at `at_tick` bring back up to `until_tick`."""
         waiting = {one.seq for one in self._changes.values() if one.tick > at_tick}
         return [
@@ -48,7 +50,7 @@ class ScheduledChanges:
             if one.seq < 0 and -one.seq not in waiting and at_tick < one.tick <= until_tick
         ]
 
-    def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    def around(self, at_tick: int, tick: int) -> tuple[list[Fields], list[Fields]]:
         """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
         forgotten.
         """

@@ -24,6 +24,9 @@ from hapticd.core.params import STRICT_POLICIES, GuardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
+from hapticd.guard.pending import PendingChange
+from hapticd.guard.scheduled import Fields
+from hapticd.guard.stages import ramp_s
 from hapticd.guard.terms import Terms, TermsKeeper
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
@@ -176,6 +179,11 @@ class Guard:
             self._looked_at = None
         self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
+    def chooses_level(self, change: PendingChange) -> bool:
+        """Whether the level of damping is the guard's to choose once `change` is in force."""
+        asked = change.request.auto
+        return self.mode == "auto" if asked is None else asked
+
     def set_auto(self, auto: bool) -> None:
         """Whether the level of active damping is the guard's to choose from now on."""
         self.terms = self.terms._replace(auto=auto)
@@ -316,8 +324,30 @@ class Guard:
         if self._hand is None and self._hands and not self._awaited:
             self._ask_hand(now_ns)
 
-    def ask(self, question: dict[str, Any], now_ns: int) -> int:
-        """Ask for a verdict; the number under which `answer` will have it."""
+    def ask(
+        self, change: PendingChange, before: list[Fields], after: list[Fields], now_ns: int
+    ) -> int:
+        """Ask for a verdict on `change`, with what is scheduled `before` and `after` it; the number
+        under which `answer` will have it.
+        """
+        question = {
+            "ask": "change",
+            "now": self.in_force.now().message(),
+            "target": self.in_force.target().message(),
+            "state": self._view.state_name,
+            "gain": float(self._view.record["gain"]),
+            "enable": change.enables,
+            "change": change.request.change(self.in_force.level),
+            "before": before,
+            "after": after,
+            "policy": change.policy,
+            "basis": self.terms.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
+            "mode": "auto" if self.chooses_level(change) else "off",  # a level is in the change
+            "level": self.in_force.level,
+            "delay_periods": self.delay_periods,
+            "ramp_s": ramp_s(change.request, self._view.params.safety.default_ramp_s),
+        }
         self._awaited.add(number := self._send(question, now_ns))
         return number
 
