@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "board_words",
     "event_words",
+    "faults_off",
     "guard_line",
     "late_words",
     "margin_words",
@@ -125,6 +126,19 @@ def margin_words(found: GuardStatus) -> str:
     """The verdict on what is in force, in one line."""
     known = found.verdict.text if found.verdict else ""
     return known or found.unjudged or "not judged yet"
+
+
+_FAULT_OFF = {
+    "no_overspeed": "off: the device file gives no overspeed_m_per_s",
+    "no_physical_damping": "off: the device file gives no physical_damping_ns_per_m",
+    "measuring": "off: while measuring is leased",
+    "off": "off: as asked, until force is off again or as configured",
+}
+
+
+def faults_off(found: Mapping[str, str]) -> list[str]:
+    """Which faults that end a limit cycle are off, and why, a line each."""
+    return [f"{name} {_FAULT_OFF.get(why, why)}" for name, why in found.items() if why != "on"]
 
 
 def board_words(report: dict[str, Any]) -> str:

@@ -21,6 +21,7 @@ from hapticd.gateway.winding import compensation
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched, values_of
+from hapticd.protocol.answers import LimitCycleFault
 from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
@@ -114,25 +115,18 @@ def usual_delays(records: Records) -> dict[str, int]:
     return found
 
 
-def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
+def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, LimitCycleFault]:
     """Which faults that end a limit cycle are on; why one is off."""
     device = view.params.device
-    unknown = {
-        Watched.OVERSPEED: device.overspeed_m_per_s is None,
-        Watched.ENERGY: device.physical_damping_ns_per_m is None,
-    }
-
-    def words(bit: Watched) -> str:
-        if int(view.record.get("watches", 0)) & bit:
-            return "on"
-        key = "physical_damping_ns_per_m" if bit is Watched.ENERGY else "overspeed_m_per_s"
-        if unknown.get(bit):
-            return f"off: the device file gives no {key}"
-        if leases.measuring:
-            return "off: while measuring is leased"
-        return "off: as asked, until force is off again or as configured"
-
-    return {bit.name.lower(): words(bit) for bit in Watched}
+    on = int(view.record.get("watches", 0))
+    off: dict[Watched, LimitCycleFault] = dict.fromkeys(
+        Watched, "measuring" if leases.measuring else "off"
+    )
+    if device.overspeed_m_per_s is None:
+        off[Watched.OVERSPEED] = "no_overspeed"
+    if device.physical_damping_ns_per_m is None:
+        off[Watched.ENERGY] = "no_physical_damping"
+    return {bit.name.lower(): "on" if on & bit else off[bit] for bit in Watched}
 
 
 def commissioning(view: ServoView) -> dict[str, Any] | None:

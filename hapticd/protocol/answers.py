@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import ServoParams
@@ -35,6 +35,7 @@ __all__ = [
     "LeaseHeld",
     "LeaseReleased",
     "Limit",
+    "LimitCycleFault",
     "Receipt",
     "Room",
     "StageTimes",
@@ -46,6 +47,9 @@ __all__ = [
 ]
 
 A = TypeVar("A")
+# whether a fault that ends a limit cycle is on, or why it is off: the device file gives no value,
+# measuring is leased, or it was asked or configured so
+LimitCycleFault = Literal["on", "no_overspeed", "no_physical_damping", "measuring", "off"]
 
 
 def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
@@ -438,7 +442,7 @@ class Status(InForce):
     actor: int = 0  #: that changed something last
     actor_name: str = ""
     actors: dict[Any, str] = field(default_factory=dict)  #: names by number
-    limit_cycle_faults: dict[str, str] = field(default_factory=dict)  #: on, or why off
+    limit_cycle_faults: dict[str, LimitCycleFault] = field(default_factory=dict)  #: by their names
     commissioning: dict[str, Any] | None = None  #: what holds until the signs are verified
     compensation: Compensation | None = None
     leases: dict[str, LeaseHeld] = field(default_factory=dict)
