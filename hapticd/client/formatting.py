@@ -30,6 +30,7 @@ __all__ = [
     "event_words",
     "faults_off",
     "guard_line",
+    "known_words",
     "late_words",
     "margin_words",
     "objection_lines",
@@ -99,14 +100,18 @@ def timing_words(timing: Timing | None) -> str:
         return ""
     without = timing.without_active_damping
     damped = timing.with_active_damping
-    known = "measured" if timing.measured else "assumed by the model"
-    delay = f"delay {timing.delay_periods:g} periods, {known}"
+    delay = f"delay {timing.delay_periods:g} periods, {known_words(timing.measured)}"
     if without.lost_share is None:
         return f"{delay}: no K is passive, with or without it (theorem)"
     lost = f"K up to {_instead(without)} N/m without it ({100.0 * without.lost_share:.0f} % less)"
     if damped.level_ns_per_m:
         lost += f"; with {damped.level_ns_per_m:g} N s/m of active damping {_instead(damped)}"
     return f"{delay}: {lost} (theorem)"
+
+
+def known_words(measured: bool) -> str:
+    """How a delay is known."""
+    return "measured" if measured else "assumed by the model"
 
 
 def _instead(cost: TimingCost) -> str:

@@ -230,7 +230,7 @@ class Guard:
         counted = self.delay_periods
         return {
             "counted_periods": model_periods if counted is None else counted,
-            "counted": "assumed by the model" if counted is None else "measured",
+            "measured": counted is not None,
             "measured_p99_periods": self.delay.periods,
             "model_periods": model_periods,
         }

@@ -243,7 +243,7 @@ class Delays:
     """From a sample to the force that it makes, in periods of the servo."""
 
     counted_periods: float | None = None  #: on which the guard counts
-    counted: str = ""  #: measured, or assumed by the model
+    measured: bool = False  #: whether that one is; else the model's
     measured_p99_periods: float | None = None
     model_periods: float | None = None
 
