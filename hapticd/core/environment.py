@@ -14,6 +14,7 @@ from the table.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import isfinite
 from typing import Any, Final, NamedTuple
 
 from hapticd.core.errors import ConfigError
@@ -226,8 +227,13 @@ class Environment:
         return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
-        """The same with the fields of a request. ConfigError for a name that is no field."""
-        return self.with_values({_path(key): value for key, value in flat(change)})
+        """The same with the fields of a request. ConfigError for a name that is no field, or a
+        number that is not finite.
+        """
+        given = dict(flat(change))
+        if wrong := [key for key, value in given.items() if not isfinite(value)]:
+            raise ConfigError(f"{wrong[0]} = {given[wrong[0]]}: an environment has finite numbers")
+        return self.with_values({_path(key): value for key, value in given.items()})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
         """The fields that `change` names, with the values of this environment. ConfigError for a
@@ -240,10 +246,6 @@ class Environment:
     def row(self) -> dict[int, float]:
         """Its numbers by the slots of a command."""
         return {one.slot: float(_value(self, one.path)) for one in FIELDS}
-
-    def from_row(self, row: Sequence[float]) -> "Environment":
-        """The same with the numbers of a whole `row`, as a command has it."""
-        return self.with_slots(dict(enumerate(row)))
 
     def with_slots(self, given: Mapping[int, float]) -> "Environment":
         """The same with the numbers of `given`, by slot; of its other slots none is a field."""

@@ -24,13 +24,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product, takewhile
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.core.environment import Environment, flat
-from hapticd.core.errors import AnalysisError
+from hapticd.core.environment import Environment
 
 POINTS = 20  # of a whole way
 AXES = ("K", "B", "M")
@@ -81,7 +79,7 @@ class TransitionPlanner:
     @cached_property
     def wanted(self) -> Environment:
         """Where the change leads."""
-        return apply_change(self.target, self.change)
+        return self.target.changed(self.change)
 
     def plans(self) -> list[Plan]:
         """Each with its stages; the first is how it is done where nobody asks for safety."""
@@ -103,7 +101,7 @@ class TransitionPlanner:
                 now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
                 now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
-            end = apply_change(target, stage.change)
+            end = target.changed(stage.change)
             segments.append(Segment(now, target, end))
             target = end
         return Plan(stages, segments, target)
@@ -161,7 +159,7 @@ class TransitionPlanner:
     def _later(self, start: Environment) -> list[Segment]:
         segments = []
         for change in self.after:
-            end = apply_change(start, change)
+            end = start.changed(change)
             segments.append(Segment(start, start, end))
             start = end
         return segments
@@ -316,19 +314,11 @@ def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -
 
 def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
     """The environment in the fields of a message, its filters made discrete as those of `rendered`;
-    what the message leaves out is 0. AnalysisError for a number that is not finite.
+    what the message leaves out is 0. ConfigError for a number that is not finite.
     """
     velocity, acceleration = rendered.filters
     nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)
-    return apply_change(nothing, plain)
-
-
-def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
-    """`environment` with the fields of a request. AnalysisError for a number not finite."""
-    for name, value in flat(change):
-        if isinstance(value, float) and not isfinite(value):
-            raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
-    return environment.changed(change)
+    return nothing.changed(plain)
 
 
 def interpolate(

@@ -140,7 +140,7 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
 def rendered(effective: tuple[float, ...]) -> Environment:
     """What is rendered by the doubles of an answer: its level acts only while it is on."""
-    found = Environment().from_row(effective)
+    found = Environment().with_slots(dict(enumerate(effective)))
     level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
     return replace(found, active_damping_ns_per_m=level)
 
