@@ -22,7 +22,7 @@ __all__ = ["EVENTS", "GATEWAY_ACTOR", "Actors", "EventCode", "Journal", "sentenc
 
 KEPT = 32
 QUEUED = 256
-STAYS = "; what is in force stays"
+STAYS = "; the environment in force stays"
 LEASE = "the lease of {what} by {name} (actor {actor}) "
 
 EventCode = Literal[
@@ -47,8 +47,9 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "mark": ("mark", "{text}"),
     "controlled": (
         "controlled",
-        "energy leaked that nothing covers: the servo raised the active damping or halved K, B, M"
-        " and the wall's; ask for smaller values before you set them again",
+        "the display gave out energy that nothing accounts for: the servo raised the active damping"
+        " or halved K, B, M and those of the wall; ask for smaller values before you set them"
+        " again",
     ),
     # what became of a change that was scheduled or goes in stages
     "answered": ("answer", ""),
@@ -63,9 +64,9 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
         "the next stage waited too long: the board reports {reported_ns_per_m:.3g} of"
         " {needed_ns_per_m:.3g} N s/m" + STAYS,
     ),
-    "ramps_late": ("answer", "the next stage waited too long: it moves" + STAYS),
-    "other_terms": ("answer", "the guard goes by other terms than it was judged by" + STAYS),
-    "client_gone": ("answer", "its connection is gone" + STAYS),
+    "ramps_late": ("answer", "the next stage waited too long: ramps are still under way" + STAYS),
+    "other_terms": ("answer", "the terms of the guard have changed since it was judged" + STAYS),
+    "client_gone": ("answer", "the connection of its client is gone" + STAYS),
     "client_failed": ("answer", "its client has failed" + STAYS),
     # whether a hand would shake what was asked
     "hand": ("guard", "a hand that would shake the device: {hand[text]}; {hand[growth]}"),
@@ -91,15 +92,15 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     ),
     "not_passive": (
         "warning",
-        "what is in force is not known to be passive any more: {reason}",
+        "the environment in force is no longer known to be passive: {reason}",
     ),
-    "terms_not_kept": ("warning", "what the guard goes by is not kept: {reason}"),
+    "terms_not_kept": ("warning", "the terms of the guard could not be kept: {reason}"),
     "terms_after_restart": (
         "warning",
-        "the gateway has started anew; asked of the guard was {asked[policy]} by {asked[basis]},"
-        " margin {asked[margin_ns_per_m]:g} N s/m, configured is {configured[policy]} by"
-        " {configured[basis]}, margin {configured[margin_ns_per_m]:g} N s/m; it goes by"
-        " {terms[policy]} by {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m",
+        "the gateway has started anew; the guard was asked for {asked[policy]} by {asked[basis]},"
+        " margin {asked[margin_ns_per_m]:g} N s/m; the configuration is {configured[policy]} by"
+        " {configured[basis]}, margin {configured[margin_ns_per_m]:g} N s/m; from now on the guard"
+        " judges under {terms[policy]} by {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m",
         ", damping {mode}",
     ),
     "answers_lost": ("warning", "{reason}"),

@@ -753,7 +753,7 @@ def test_end_of_force_cancels_what_is_left(
     later(rig, 5)
     (event,) = answers(rig)
     assert event["result"] == "cancelled"
-    assert "what is in force stays" in event["text"]
+    assert "the environment in force stays" in event["text"]
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
@@ -789,7 +789,7 @@ def test_stage_judged_by_other_terms_does_not_come_into_force_under_a_strict_pol
     later(rig, 5)
     (event,) = answers(rig)
     assert event["result"] == "cancelled"
-    assert "other terms" in event["text"]
+    assert event["code"] == "other_terms"
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
@@ -1115,7 +1115,8 @@ def test_environment_that_is_passive_no_more_is_warned_about(
     looking(rig)
     warnings = [event for event in rig.journal.drain() if event["kind"] == "warning"]
     assert len(warnings) == 1
-    assert "not known to be passive any more: as it is" in warnings[0]["text"]
+    assert warnings[0]["code"] == "not_passive"
+    assert warnings[0]["text"].endswith("no longer known to be passive: as it is")
 
 
 # --- gateway restart ------------------------------------------------------------------------------

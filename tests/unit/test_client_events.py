@@ -67,8 +67,8 @@ def noted(code: EventCode, **fields: Any) -> Event:
         (
             "damping_late",
             {"cmd": "set", "name": "sweep", "reported_ns_per_m": 0.0, "needed_ns_per_m": 1.5},
-            "set of sweep: the next stage waited too long: the board reports 0 of 1.5 N s/m; what"
-            " is in force stays",
+            "set of sweep: the next stage waited too long: the board reports 0 of 1.5 N s/m; the"
+            " environment in force stays",
         ),
         (
             "hand",
