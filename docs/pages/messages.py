@@ -5,6 +5,7 @@ from hapticd.gateway.command_server import MOST_QUEUED
 from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
 from hapticd.gateway.zmtp import MOST_PARTS
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
+from hapticd.protocol.journal import EVENTS
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import json_schema
 from hapticd.protocol.telemetry import TOPICS
@@ -27,6 +28,11 @@ The gateway implements ZMTP 3 itself (any ZeroMQ library since 4.0) and bounds e
 later ones are dropped. A request behind {requests} others is answered `busy`. A stop goes before them all.
 
 ## Commands
+"""
+EVENTS_TEXT = """## Events
+
+An event has a `kind`, a `code`, the fields in braces below, and a `text`. The text is for people and may change; programs read
+the code and the fields.
 """
 RECORDS = """## Records of `servo.raw`
 
@@ -51,6 +57,10 @@ def messages_page() -> str:
         ("topic", "payload", "rate"),
         [(f"`{topic.name}`", topic.content, topic.rate) for topic in TOPICS],
     )
+    events = table(
+        ("kind", "code", "text"),
+        [(f"`{kind}`", f"`{code}`", "".join(parts)) for code, (kind, *parts) in EVENTS.items()],
+    )
     records = f"{fields_table()}\n{bits_tables()}"
     bounds = INTRODUCTION.format(
         ok="{ok: true, id, rev, state, result or receipt}",
@@ -64,7 +74,9 @@ def messages_page() -> str:
         queued=QUEUED_BYTES >> 20,
         requests=MOST_QUEUED,
     )
-    return "\n".join([bounds, *commands, *parts, "## Topics\n", topics, RECORDS, records])
+    return "\n".join(
+        [bounds, *commands, *parts, "## Topics\n", topics, EVENTS_TEXT, events, RECORDS, records]
+    )
 
 
 def _fields(root: Schema, model: Schema) -> str:

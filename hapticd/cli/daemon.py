@@ -25,6 +25,7 @@ from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.formatting import (
     board_words,
+    faults_off,
     late_words,
     parameters,
     receipt_text,
@@ -211,8 +212,7 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
     if limits := found.commissioning:
         text = f"at most {limits['force_limit_n']:g} N: {limits['remedy']}"
         lines.append(f"  signs     {terminal.coloured(text, terminal.YELLOW)}")
-    off = [f"{name} {on}" for name, on in found.limit_cycle_faults.items() if on != "on"]
-    lines += [f"  fault     {one}" for one in off]
+    lines += [f"  fault     {one}" for one in faults_off(found.limit_cycle_faults)]
     if found.guard:
         lines += _under("guard", guard_lines(found.guard))
     lines += [f"  lease     {line}" for line in lease_lines(found.leases)]

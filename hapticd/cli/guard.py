@@ -8,7 +8,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.deferred import deferred_imports
-from hapticd.client.formatting import guard_line, margin_words, verdict_lines
+from hapticd.client.formatting import guard_line, known_words, margin_words, verdict_lines
 from hapticd.core import params
 from hapticd.protocol.answers import GuardStatus
 
@@ -86,6 +86,6 @@ def delay_lines(found: GuardStatus) -> list[str]:
     known = "not known yet" if measured is None else f"{measured:g}"
     assumed = "" if model is None else f", the model assumes {model:g}"
     return [
-        f"delay counted on: {delays.counted_periods:g} periods, {delays.counted}"
+        f"delay counted on: {delays.counted_periods:g} periods, {known_words(delays.measured)}"
         f" (p99 of the last minute: {known}{assumed})"
     ]

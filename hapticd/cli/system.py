@@ -24,7 +24,7 @@ from hapticd.mailbox.files import SERVO_JSON, runtime_folder
 from hapticd.protocol.answers import Status, answer_of
 
 with deferred_imports():
-    from hapticd.protocol import auth
+    from hapticd.protocol import auth, journal
     from hapticd.recording import calibrations
     from hapticd.run import resolve
     from hapticd.run import system_files as service
@@ -55,7 +55,9 @@ def check_config(
     """
     rules = load.MoreRules(_simulation_and_network_rules, _template_rules)
     settings = load.load(file or config, also=rules)
-    if warning := auth.warning(build.gateway_params(settings)):
+    gateway = build.gateway_params(settings)
+    if auth.in_the_clear(gateway):
+        warning = journal.sentence("telemetry_open", address=gateway.tcp_host)
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     servo = resolve.resolve(settings, terminal.INSTANCE)[SERVO_JSON]
     doubted = calibrations.doubts(servo, datetime.date.today())

@@ -4,7 +4,7 @@ Its imports must be small, because `hapticd --help` loads it. An event of an unk
 as its fields.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 __all__ = [
     "board_words",
     "event_words",
+    "faults_off",
     "guard_line",
+    "known_words",
     "late_words",
     "margin_words",
     "objection_lines",
@@ -98,14 +100,18 @@ def timing_words(timing: Timing | None) -> str:
         return ""
     without = timing.without_active_damping
     damped = timing.with_active_damping
-    known = "measured" if timing.measured else "assumed by the model"
-    delay = f"delay {timing.delay_periods:g} periods, {known}"
+    delay = f"delay {timing.delay_periods:g} periods, {known_words(timing.measured)}"
     if without.lost_share is None:
         return f"{delay}: no K is passive, with or without it (theorem)"
     lost = f"K up to {_instead(without)} N/m without it ({100.0 * without.lost_share:.0f} % less)"
     if damped.level_ns_per_m:
         lost += f"; with {damped.level_ns_per_m:g} N s/m of active damping {_instead(damped)}"
     return f"{delay}: {lost} (theorem)"
+
+
+def known_words(measured: bool) -> str:
+    """How a delay is known."""
+    return "measured" if measured else "assumed by the model"
 
 
 def _instead(cost: TimingCost) -> str:
@@ -125,6 +131,19 @@ def margin_words(found: GuardStatus) -> str:
     """Return the verdict on the environment in force, in one line."""
     known = found.verdict.text if found.verdict else ""
     return known or found.unjudged or "not judged yet"
+
+
+_FAULT_OFF = {
+    "no_overspeed": "off: the device file gives no overspeed_m_per_s",
+    "no_physical_damping": "off: the device file gives no physical_damping_ns_per_m",
+    "measuring": "off: while measuring is leased",
+    "off": "off: as asked, until force is off again or as configured",
+}
+
+
+def faults_off(found: Mapping[str, str]) -> list[str]:
+    """Which faults that end a limit cycle are off, and why, a line each."""
+    return [f"{name} {_FAULT_OFF.get(why, why)}" for name, why in found.items() if why != "on"]
 
 
 def board_words(report: dict[str, Any]) -> str:
@@ -177,12 +196,19 @@ def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 # --- events ---------------------------------------------------------------------------------------
-_HIDDEN = {"timestamp", "kind", "actor", "id", "number", "epoch"}
+_HIDDEN = {"timestamp", "kind", "code", "actor", "id", "number", "epoch"}
+_WHOLE = ("state", "servo_up", "servo_down", "gap", "flight")  # whose text needs no kind before it
 
 
 def event_words(event: Event) -> str:
-    """Return an event as text: action, object and author, without its time."""
-    return _WORDS.get(event.kind, _plain)(event)
+    """What happened, to whom and by whom, without its time."""
+    if event.kind == "answer":
+        return f"{event.cmd} of {event.name}: {event.text or event.result}"
+    if event.kind == "mark":
+        return f"mark: {event.text} (by {event.name}, tick {event.tick})"
+    if not event.text:
+        return _plain(event)
+    return event.text if event.kind in _WHOLE else f"{event.kind}: {event.text}"
 
 
 def _plain(event: Event) -> str:
@@ -190,54 +216,3 @@ def _plain(event: Event) -> str:
     given = {name: value for name, value in asdict(event).items() if value != usual[name]}
     shown = [f"{name} {value}" for name, value in given.items() if name not in _HIDDEN]
     return f"{event.kind}: {', '.join(shown)}"
-
-
-def _state(event: Event) -> str:
-    by = f" (by {event.name})" if event.name else ""
-    change = f"{event.before} -> {event.state}{by}"
-    if event.state != "fault":
-        return change
-    return f"{change}: {event.fault}: {event.cause}; {event.remedy}"
-
-
-def _flight(event: Event) -> str:
-    return f"flight recording of {event.reason}: {event.path}"
-
-
-def _mark(event: Event) -> str:
-    return f"mark: {event.text} (by {event.name}, tick {event.tick})"
-
-
-def _text(event: Event) -> str:
-    return f"{event.kind}: {event.text}"
-
-
-def _answer(event: Event) -> str:
-    return f"{event.cmd} of {event.name}: {event.text or event.result}"
-
-
-def _up(event: Event) -> str:
-    return "the servo runs"
-
-
-def _down(event: Event) -> str:
-    return "the servo has ended, or does not answer any more"
-
-
-def _lost(event: Event) -> str:
-    return f"{event.lost} ticks were overwritten before telemetry had read them"
-
-
-_WORDS: dict[str, Callable[[Event], str]] = {
-    "state": _state,
-    "flight": _flight,
-    "mark": _mark,
-    "warning": _text,
-    "guard": _text,
-    "lease": _text,
-    "controlled": _text,
-    "answer": _answer,
-    "servo_up": _up,
-    "servo_down": _down,
-    "gap": _lost,
-}

@@ -15,6 +15,7 @@ from the table.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from math import isfinite
 from typing import Any, Final, NamedTuple
 
 from hapticd.core.errors import ConfigError
@@ -229,8 +230,13 @@ class Environment:
         return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
-        """Return it with the fields of a request. ConfigError for an unknown field."""
-        return self.with_values({_path(key): value for key, value in flat(change)})
+        """The same with the fields of a request. ConfigError for a name that is no field, or a
+        number that is not finite.
+        """
+        given = dict(flat(change))
+        if wrong := [key for key, value in given.items() if not isfinite(value)]:
+            raise ConfigError(f"{wrong[0]} = {given[wrong[0]]}: an environment has finite numbers")
+        return self.with_values({_path(key): value for key, value in given.items()})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields in `change`, with the values of this environment. ConfigError for an
@@ -243,10 +249,6 @@ class Environment:
     def row(self) -> dict[int, float]:
         """Return its numbers by the slots of a command."""
         return {one.slot: float(_value(self, one.path)) for one in FIELDS}
-
-    def from_row(self, row: Sequence[float]) -> "Environment":
-        """Return it with the numbers of a whole `row` of a command."""
-        return self.with_slots(dict(enumerate(row)))
 
     def with_slots(self, given: Mapping[int, float]) -> "Environment":
         """Return it with the numbers of `given`, by slot; slots that are not fields are ignored."""

@@ -31,6 +31,7 @@ from hapticd.mailbox.files import (
 )
 from hapticd.protocol import auth
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
+from hapticd.protocol.journal import EventCode, sentence
 
 if TYPE_CHECKING:
     from hapticd.gateway.relay_supervisor import RelaySupervisor
@@ -47,9 +48,8 @@ SOCKET_UMASK = 0o117
 class Sockets:
     """Both kinds of socket, bound, watched by `selector`.
 
-    `endpoints` is {command, telemetry: [..], pid}; `warning` is set if telemetry is unencrypted on
-    a network. `left` and `gone` are called with the identity of a command client or a subscriber
-    whose connection has ended.
+    `endpoints` is {command, telemetry: [..], pid}; `warnings` are events with their fields;
+    `left` is told of clients of the commands, `gone` of subscribers, whose connections have ended.
     """
 
     def __init__(
@@ -63,7 +63,9 @@ class Sockets:
         self._folder = folder
         self._selector = selector
         params = setup.gateway
-        self.warning = auth.warning(params)
+        self.warnings: list[tuple[EventCode, dict[str, Any]]] = []
+        if auth.in_the_clear(params):
+            self.warnings.append(("telemetry_open", {"address": params.tcp_host}))
         self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
         self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
         self.relay: RelaySupervisor | None = None
@@ -83,15 +85,16 @@ class Sockets:
         port = port_for(params, instance)
         listener = bound_tcp(params.tcp_host, port)
         tcp = endpoint_of(listener)
-        taken = bool(port) and listener.getsockname()[1] != port
-        self.elsewhere = f"port {port} is taken, telemetry is at {tcp} instead" if taken else ""
         if auth.needs_keys(params):
             self.relay = self._guarded(telemetry, listener, tcp, params)
         else:
             self.telemetry.listen(listener)
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
-        endpoints |= {"elsewhere": self.elsewhere} if taken else {}
-        # last: this file announces that clients can connect
+        if port and listener.getsockname()[1] != port:
+            taken = {"port": port, "address": tcp}
+            self.warnings.append(("port_taken", taken))
+            endpoints["elsewhere"] = sentence("port_taken", **taken)
+        # last: whoever finds this file may connect
         write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
@@ -104,10 +107,8 @@ class Sockets:
             source, listener, endpoint, Path(params.curve_keys or ""), self._selector
         )
 
-    def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
-        """End connections that are due to end; yield warnings of connections that the relay
-        refused.
-        """
+    def tend(self, now_ns: int) -> Iterator[tuple[EventCode, dict[str, Any]]]:
+        """End what is due to; warnings of whom the relay refused."""
         self.command.tend(now_ns)
         self.telemetry.tend(now_ns)
         if self.relay:

@@ -183,7 +183,7 @@ class CommandServer:
                     self._report(scheduled, answer, now_ns)
                 self._guarded.heard(answer)
         except MailboxError as error:
-            self._journal.note("warning", text=str(error))
+            self._journal.note("answers_lost", reason=str(error))
         self._leasing.tend(now_ns)
         replies += self._due(now_ns)
         self._guard.tend(now_ns)
@@ -271,7 +271,8 @@ class CommandServer:
     def _mark(self, text: str, actor: int) -> dict[str, Any]:
         self._view.require_servo("mark")
         tick = self._view.tick
-        self._journal.note("mark", tick=tick, text=text, actor=actor, name=self.actors.name(actor))
+        name = self.actors.name(actor)
+        self._journal.note("mark", tick=tick, text=text, actor=actor, name=name)
         return {"tick": tick}
 
     def _load(self, request: Perturb, actor: int) -> dict[str, Any]:
@@ -337,14 +338,15 @@ class CommandServer:
         change = answered.change
         verdict = {"guard": change.verdict} if change.verdict else {}
         if change.replied:
-            error = answered.error and {"result": "refused", "text": str(answered.error)}
+            error = answered.error
+            told = {"error": error.code, "reason": str(error)} if error else {}
             self._journal.note(
-                "answer",
+                "refused" if error else answered.code,
                 cmd=change.cmd,
                 id=change.message.id,
                 actor=change.actor,
                 name=self.actors.name(change.actor),
-                **(answered.receipt or error or {}) | verdict,
+                **(answered.receipt or {"result": "refused"}) | told | verdict,
             )
             return None
         change.replied = True

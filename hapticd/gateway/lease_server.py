@@ -26,17 +26,13 @@ from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import STRENGTH_VALUES, Command, Value, Watched, values_of
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, EventCode, Journal
 from hapticd.protocol.leases import (
     DAMPING,
     ENVIRONMENT,
-    FAILED,
-    GONE,
     MEASURING,
     PARTS,
     PERTURBATION,
-    RELEASED,
-    SILENT,
     Ended,
     Lease,
     Leases,
@@ -87,11 +83,12 @@ class LeaseServer:
         elif request.action == "renew":
             self.leases.renew(what, actor)
         else:
-            how = FAILED if request.action == "fail" else RELEASED
+            how: EventCode = "lease_failed" if request.action == "fail" else "lease_released"
             ended = self.leases.release(what, actor, how)
-            if ended.how == how:
+            released = ended.how == how
+            if released:
                 self._end(ended)
-            return {"what": what, "released": ended.how == how, "text": ended.text}
+            return {"what": what, "released": released, "code": ended.how, "text": ended.text}
         return {"what": what, **self.leases.shown()[what]}
 
     def tend(self, now_ns: int) -> None:
@@ -135,22 +132,21 @@ class LeaseServer:
         self._cancel(what, actor)
         self._tell(actor, {Value.LIMIT_CYCLE_FAULTS: 0.0} if what == MEASURING else {})
         name = self._actors.name(actor)
-        text = f"{name} (actor {actor}) took the lease of {what}"
-        self._journal.note("lease", what=what, change="taken", actor=actor, name=name, text=text)
+        self._journal.note("lease_taken", what=what, actor=actor, name=name)
 
     def _end(self, ended: Ended) -> None:
         lease = ended.lease
-        if ended.how != RELEASED:
+        if ended.how != "lease_released":
             self._cancel(lease.what, GATEWAY_ACTOR)
         if PERTURBATION in PARTS[lease.what]:
             self._do(Command.PERTURB_STOP, {})
-        if ended.how in (SILENT, GONE, FAILED):
+        if ended.how in ("lease_silent", "lease_gone", "lease_failed"):
             self._go(lease)
         configured = float(self._view.params.safety.limit_cycle_faults)
         self._tell(
             GATEWAY_ACTOR, {Value.LIMIT_CYCLE_FAULTS: configured} if lease.what == MEASURING else {}
         )
-        self._note(ended)
+        self._journal.note(ended.how, **ended.fields)
 
     def _go(self, lease: Lease) -> None:
         """Apply `at_end` to force and environment; the damping stays."""
@@ -160,18 +156,6 @@ class LeaseServer:
             self._cancel(lease.what, NO_ACTOR)
         elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
-
-    def _note(self, ended: Ended) -> None:
-        lease = ended.lease
-        self._journal.note(
-            "lease",
-            what=lease.what,
-            change=ended.how,
-            actor=lease.actor,
-            name=lease.name,
-            by=ended.by,
-            text=ended.text,
-        )
 
     def _cancel(self, what: str, keeper: int) -> None:
         places = {place for part in PARTS[what] for place in SCHEDULABLE[part]}
@@ -216,7 +200,8 @@ class LeaseServer:
             holders = {MEASURING: holders[DAMPING], PERTURBATION: holders[PERTURBATION]}
         for what, actor in holders.items():
             if actor:
-                self._end(Ended(Lease(what, actor, FORMER, 0, self._params.at_end, 0), GONE))
+                held = Lease(what, actor, FORMER, 0, self._params.at_end, 0)
+                self._end(Ended(held, "lease_gone"))
 
     def _post(self, now_ns: int) -> None:
         """Post the waiting actions, as far as the ring has room."""

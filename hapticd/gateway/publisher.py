@@ -20,7 +20,8 @@ from hapticd.gateway.tick_times import ENOUGH, TickTimes
 from hapticd.gateway.winding import compensation
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.status import Guard
-from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
+from hapticd.mailbox.layout import Command, Flag, State, Value, Watched, values_of
+from hapticd.protocol.answers import LimitCycleFault
 from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
@@ -114,25 +115,18 @@ def usual_delays(records: Records) -> dict[str, int]:
     return found
 
 
-def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:
-    """Return "on" for each fault that ends a limit cycle, or the reason why it is off."""
+def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, LimitCycleFault]:
+    """Which faults that end a limit cycle are on; why one is off."""
     device = view.params.device
-    unknown = {
-        Watched.OVERSPEED: device.overspeed_m_per_s is None,
-        Watched.ENERGY: device.physical_damping_ns_per_m is None,
-    }
-
-    def words(bit: Watched) -> str:
-        if int(view.record.get("watches", 0)) & bit:
-            return "on"
-        key = "physical_damping_ns_per_m" if bit is Watched.ENERGY else "overspeed_m_per_s"
-        if unknown.get(bit):
-            return f"off: the device file gives no {key}"
-        if leases.measuring:
-            return "off: while measuring is leased"
-        return "off: as asked, until force is off again or as configured"
-
-    return {bit.name.lower(): words(bit) for bit in Watched}
+    on = int(view.record.get("watches", 0))
+    off: dict[Watched, LimitCycleFault] = dict.fromkeys(
+        Watched, "measuring" if leases.measuring else "off"
+    )
+    if device.overspeed_m_per_s is None:
+        off[Watched.OVERSPEED] = "no_overspeed"
+    if device.physical_damping_ns_per_m is None:
+        off[Watched.ENERGY] = "no_physical_damping"
+    return {bit.name.lower(): "on" if on & bit else off[bit] for bit in Watched}
 
 
 def commissioning(view: ServoView) -> dict[str, Any] | None:
@@ -198,8 +192,6 @@ class Transitions:
                 unix_ns=int(record["time_ns"]) + self._view.unix_offset_ns,
                 tick=int(record["tick"]),
                 excess_j=float(record["excess_j"]),
-                text="energy leaked that nothing covers: the servo raised the active damping or"
-                " halved K, B, M and the wall's; ask for smaller values before you set them again",
             )
         self._changes = int(changes[-1])
 
@@ -207,7 +199,7 @@ class Transitions:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])
         actor = int(record["actor"])
         self._journal.note(
-            "state",
+            "fault" if record["state"] == State.FAULT else "state",
             unix_ns=int(record["time_ns"]) + self._view.unix_offset_ns,
             tick=int(record["tick"]),
             before=_name(before),
@@ -354,7 +346,7 @@ class Publisher:
             self._journal.note(
                 "servo_up" if view.alive else "servo_down",
                 epoch=self._origin.epoch,
-                text=view.trouble,
+                reason=view.trouble,
             )
 
     def _judge_room(self) -> None:
@@ -363,13 +355,16 @@ class Publisher:
         self._judged = True
         room = self.times.room
         if room.short:
-            self._journal.note("warning", text=room.text, **asdict(room))
+            percent = 100.0 * room.tick_us / room.period_us
+            self._journal.note("tick_too_long", percent=percent, **asdict(room))
 
     def _follow_damping(self, block: RingBlock) -> None:
         """Warn if too little active damping is delivered, and request the fault if it is needed."""
         for low in self._delivered.take(block.records):
             if low.warn:
-                self._journal.note("warning", text=low.text)
+                percent = 100.0 * (low.estimate.ratio or 0.0)
+                found = low.estimate._asdict()
+                self._journal.note("damping_low", percent=percent, delivered=found)
             if low.fault and self._view.mailbox:
                 self._view.mailbox.post(Command.FAULT, GATEWAY_ACTOR, 0, NOT_DELIVERED)
 

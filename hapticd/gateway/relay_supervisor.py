@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 from hapticd.core.process import launch
 from hapticd.guard.worker import Worker
+from hapticd.protocol.journal import EventCode
 from hapticd.protocol.keys import server_pair
 
 if TYPE_CHECKING:
     import subprocess
 
 MODULE = "hapticd.gateway.relay"
+
+Events = Iterator[tuple[EventCode, dict[str, Any]]]  # with their fields
 
 
 class RelaySupervisor:
@@ -54,9 +57,9 @@ class RelaySupervisor:
         self._process = launch(MODULE, *self._command, *ends, keep=passed)
         return self._process
 
-    def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
-        """Start the relay if due; yield warnings for the journal. They cover refused clients,
-        unreadable keys and the end of the relay.
+    def tend(self, now_ns: int) -> Events:
+        """Start the relay if it is due; warnings of whom it refused, of keys that it cannot read,
+        and of its end.
         """
         self._relay.tend(now_ns)
         for report in self._relay.answers():
@@ -68,21 +71,23 @@ class RelaySupervisor:
         if code is not None and not self._trouble:
             yield from self._ended(f"the relay ended, exit code {code}")
 
-    def _took(self, report: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    def _took(self, report: dict[str, Any]) -> Events:
+        """Warnings of what a relay that serves has said."""
         self._trouble = ""
         known = self._seen["unreadable"]
         self._seen = {name: report[name] for name in self._seen}
         for name, why in self._seen["unreadable"].items():
             if known.get(name) != why:
-                yield {"text": f"{name} lets nobody listen: {why}"}
+                yield "key_unreadable", {"path": name, "reason": why}
         for address, why, times in report["news"]:
-            yield {"text": refusal(address, why, times), "address": address, "times": times}
+            often = {"times": times} if times > 1 else {}
+            yield "listener_refused", {"address": address, "reason": why, **often}
 
-    def _ended(self, why: str) -> Iterator[dict[str, Any]]:
-        """Yield a warning that the relay has ended, once for each reason; it is restarted."""
+    def _ended(self, why: str) -> Events:
+        """That the relay has ended, once for each reason; it is started again."""
         if why != self._trouble:
             self._trouble = why
-            yield {"text": f"no telemetry for other computers: {why}"}
+            yield "relay_ended", {"reason": why}
 
     def summary(self) -> dict[str, Any]:
         """Return the part of `status` about the relay. It has the state of the relay, its trouble,
@@ -98,12 +103,3 @@ class RelaySupervisor:
         if self._process:
             self._process.wait()  # it was killed
         self._listener.close()
-
-
-def refusal(address: str, why: str, times: int) -> str:
-    """Return the warning about a refused client."""
-    often = f", {times} times" if times > 1 else ""
-    return (
-        f"telemetry refused to {address or 'somebody'}: {why}{often}; who may listen is made known"
-        " by `hapticd keys client`"
-    )

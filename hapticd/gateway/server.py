@@ -80,9 +80,8 @@ class GatewayServer:
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
         self._watchful_ns = clock.now_ns()
-        for warning in (self._sockets.warning, self._sockets.elsewhere):
-            if warning:
-                self._journal.note("warning", text=warning)
+        for code, fields in self._sockets.warnings:
+            self._journal.note(code, **fields)
 
     def _open(self, folder: Path, start_worker: Start | None, opened: ExitStack) -> None:
         """Claim the folder and create all parts; `opened` closes them in reverse order."""
@@ -134,8 +133,8 @@ class GatewayServer:
         self._passed_ns = now_ns
         # before the requests: the heartbeat does not depend on their duration
         self._in_time()
-        for refused in self._sockets.tend(now_ns):
-            self._journal.note("warning", **refused)
+        for code, fields in self._sockets.tend(now_ns):
+            self._journal.note(code, **fields)
         self._serve(now_ns)
         self._note_subscriptions()
         # 1 ms of slack: a pass just short of 10 ms must not delay it by another 10 ms

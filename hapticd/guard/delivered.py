@@ -63,7 +63,7 @@ NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
 class Shortfall(NamedTuple):
     """A shortfall: whether it warrants a warning, and whether it warrants the fault."""
 
-    text: str
+    estimate: Estimate
     warn: bool
     fault: bool
 
@@ -206,17 +206,7 @@ class Delivered:
         warn = not self._warned
         self._warned = True
         self._faulted = self._faulted or fault
-        return [Shortfall(estimate_text(found), warn, fault)] if warn or fault else []
-
-
-def estimate_text(found: Estimate) -> str:
-    """Describe a shortfall."""
-    percent = 100.0 * (found.ratio or 0.0)
-    return (
-        f"active damping: {found.estimate_ns_per_m:.3g} N s/m ({found.low:.3g} to {found.high:.3g})"
-        f" delivered of {found.commanded:.3g} N s/m commanded, {percent:.0f} %, by {found.basis};"
-        " look at the amplifier, its supply and the resistance compensation"
-    )
+        return [Shortfall(found, warn, fault)] if warn or fault else []
 
 
 def _measured(records: Records, device: DeviceParams) -> Flags:

@@ -24,7 +24,7 @@ from hapticd.guard.explain import VerdictBuilder, doubling_text, explain, hand_t
 from hapticd.guard.plane import plane
 from hapticd.guard.policies import answer_change
 from hapticd.guard.safe_region import IDEAL_PERIODS, SafeRegion, timing_cost
-from hapticd.guard.transition_planner import apply_change, from_message
+from hapticd.guard.transition_planner import from_message
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
@@ -221,10 +221,10 @@ class Judge:
         target = from_message(request["target"], self.setup.environment)
         on_the_way = [target]
         for one in (*request.get("before", ()), request.get("change", {})):
-            on_the_way.append(apply_change(on_the_way[-1], one))
+            on_the_way.append(on_the_way[-1].changed(one))
         ends = [on_the_way[-1]]
         for one in request.get("after", ()):
-            ends.append(apply_change(ends[-1], one))
+            ends.append(ends[-1].changed(one))
         if not request.get("enable") and request.get("state") != "enabled":
             return ends
         now = from_message(request.get("now", {}), self.setup.environment)

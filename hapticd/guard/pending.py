@@ -14,7 +14,7 @@ from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import forbidden
-from hapticd.protocol.journal import GATEWAY_ACTOR
+from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 
@@ -47,11 +47,12 @@ class PendingChange:
     place: int = 0  # of the next stage
     state: State | None = None  # at its start
     ramp_end_tick: int = 0
-    seen: int = 0  # revision of the servo when the wait began, or when the last stage acted
-    since_ns: int = 0  # time at which the last stage was posted, or something moved
-    taken_back: str = ""  # why no further stage follows the one that the servo has
-    former: dict[str, Any] = field(default_factory=dict)  # values restored by a bounded change
-    held: Answer | None = None  # of the servo, kept until the verdict arrives
+    seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
+    since_ns: int = 0  # the last stage was posted, or something moved
+    # why no further stage shall come, while one is with the servo, and fields that tell it
+    taken_back: tuple[EventCode, dict[str, Any]] | None = None
+    former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
+    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 
     @property
     def cmd(self) -> str:
@@ -95,6 +96,17 @@ def ends_force(request: Request, target: Environment) -> bool:
     if not isinstance(request, Set) or request.at_tick or request.auto is not None:
         return False
     return target.changed(request.change(0.0)).empty
+
+
+def former(request: Request, before: list[dict[str, Any]], target: Environment) -> dict[str, Any]:
+    """What a bounded change brings back at its end: `target`, with what is scheduled `before` it;
+    {} for one without an end.
+    """
+    if not request.end_tick:
+        return {}
+    for fields in before:
+        target = target.changed(fields)
+    return target.fields(request.change(0.0))
 
 
 def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:

@@ -40,7 +40,6 @@ from hapticd.guard.transition_planner import (
     Segment,
     Stage,
     TransitionPlanner,
-    apply_change,
     from_message,
     interpolate,
     moving_groups,
@@ -64,8 +63,8 @@ def answer_change(
 ) -> dict[str, Any]:
     """Return the answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `region` is the region to judge by, or the reason why nothing is known. AnalysisError for a
-    number that is not finite.
+    `region` is how to judge it, or why nothing is known. ConfigError for a number that is not
+    finite.
     """
     planner = _asked(verdicts, request)
     if request["policy"] == "off":
@@ -88,7 +87,7 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
     for one in request["before"]:
         passed.append(target)
         now = target
-        target = apply_change(target, one)
+        target = target.changed(one)
     level = _in_effect(verdicts, now.active_damping_ns_per_m, target.active_damping_ns_per_m)
     return TransitionPlanner(
         now=replace(now, active_damping_ns_per_m=level),
@@ -219,8 +218,8 @@ class _Judged:
     # --- choice of the damping --------------------------------------------------------------------
 
     def _with_auto(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """Return `change` with the level of mode `auto`, which replaces any requested level."""
-        level = self._least(apply_change(self.target, change))
+        """`change` with the level of mode `auto`, whatever level it names."""
+        level = self._least(self.target.changed(change))
         rest = {name: value for name, value in change.items() if name != "active_damping"}
         present = self.target.active_damping_ns_per_m
         return rest if level == present else rest | {"active_damping": level}

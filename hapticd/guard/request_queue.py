@@ -31,8 +31,13 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.pending import PendingChange, ends_force, forbidden_by, stages_of
-from hapticd.guard.question import former, question
+from hapticd.guard.pending import (
+    PendingChange,
+    ends_force,
+    forbidden_by,
+    former,
+    stages_of,
+)
 from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
 from hapticd.guard.scheduled import ScheduledChanges
 from hapticd.guard.stages import ChangeReply, StagedChange
@@ -43,7 +48,7 @@ from hapticd.mailbox.layout import ANY_TERMS, LATCHED, Command, Result, Value, v
 from hapticd.protocol.codec import INTERNAL_REQUEST
 from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
 from hapticd.protocol.explanation import Reason, because
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, sentence
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Change, Damping
 from hapticd.protocol.view import ServoView
@@ -127,7 +132,7 @@ class GuardedQueue:
         """Return whether it can be applied at once, in one stage and under any verdict."""
         guard = self._guard
         whole = len(changed_parts(change.request)) == 1
-        plain = whole and not change.at_tick and not self._auto(change)
+        plain = whole and not change.at_tick and not self._guard.chooses_level(change)
         plain = plain and not change.request.end_tick
         # a look, or the search for a hand, delays only the reply
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
@@ -168,7 +173,7 @@ class GuardedQueue:
         for change in self._waits():
             if change.enables:
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
-        self._under_way.take_back(lambda change: change.enables, f"{why} was asked meanwhile")
+        self._under_way.take_back(lambda change: change.enables, "asked_meanwhile", by_cmd=why)
 
     def leave(self, actor: int) -> None:
         """Drop the requests of `actor`, whose connection has ended. A change in progress continues,
@@ -177,7 +182,7 @@ class GuardedQueue:
         for change in self._waits_of(actor):
             self._drop(change)
         self._under_way.take_back(
-            lambda change: change.enables and change.actor == actor, "its connection is gone"
+            lambda change: change.enables and change.actor == actor, "client_gone"
         )
 
     def heard(self, answer: Answer) -> None:
@@ -188,11 +193,10 @@ class GuardedQueue:
             self._scheduled.close(answer.seq, answer.result is Result.APPLIED)
 
     def give_up(self, actor: int) -> None:
-        """Refuse the remaining requests of the client `actor`, which has failed."""
-        why = "its client has failed"
+        """The client `actor` has failed: of what it asked nothing more is posted."""
         for change in self._waits_of(actor):
-            self._end(change, "refused", why)
-        self._under_way.take_back(lambda change: change.actor == actor, why)
+            self._end(change, "refused", sentence("client_failed"))
+        self._under_way.take_back(lambda change: change.actor == actor, "client_failed")
 
     def _waits(self) -> list[PendingChange]:
         """Return the requests without a verdict, in order of arrival."""
@@ -265,7 +269,7 @@ class GuardedQueue:
         number = self._guard.terms_number
         change = self._under_way.change
         if number != ANY_TERMS and change is not None and change.terms != number:
-            self._under_way.cancel("the guard goes by other terms than it was judged by")
+            self._under_way.cancel("other_terms")
         mailbox = self._view.mailbox
         if mailbox is None or not self._view.record or self._terms_sent == (self._life, number):
             return
@@ -306,14 +310,9 @@ class GuardedQueue:
         return self._policy(change) in STRICT_POLICIES
 
     def _asks(self, change: PendingChange) -> bool:
-        """Return whether the policy needs a verdict and a worker is available."""
-        wanted = self._policy(change) != "off" or self._auto(change)
+        """Whether a worker is there to be asked, and the policy wants it."""
+        wanted = self._policy(change) != "off" or self._guard.chooses_level(change)
         return wanted and self._guard.worker in ("up", "starting")
-
-    def _auto(self, change: PendingChange) -> bool:
-        """Return whether the guard selects the level of damping once `change` is in force."""
-        asked = change.request.auto
-        return self._guard.mode == "auto" if asked is None else asked
 
     def _begin(self, now_ns: int) -> None:
         change = self._queue[0]
@@ -378,8 +377,7 @@ class GuardedQueue:
         ends = self._scheduled.ends(change.at_tick, change.request.end_tick)
         change.former = former(change.request, [*before, *ends], guard.in_force.target())
         after = [*filter(None, [change.former]), *after]
-        asked = question(change, before, after, self._auto(change), guard, self._view)
-        change.number = guard.ask(asked, now_ns)
+        change.number = guard.ask(change, before, after, now_ns)
         self._asked = change
 
     def _hear(self, change: PendingChange, now_ns: int, idle: bool) -> None:
@@ -512,8 +510,8 @@ class GuardedQueue:
         result = answer.result
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
-            # in force under any verdict: mode auto must not choose again meanwhile
-            self._guard.set_auto(self._auto(change))
+            # in force, whatever its verdict: mode auto must not choose again meanwhile
+            self._guard.set_auto(self._guard.chooses_level(change))
             return None
         if result is Result.SCHEDULED:
             fields = change.request.change(self._guard.in_force.level)
@@ -533,7 +531,7 @@ class GuardedQueue:
         return ChangeReply(change, error)
 
     def _applied(self, change: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        self._guard.set_auto(self._auto(change))
+        self._guard.set_auto(self._guard.chooses_level(change))
         if self._under_way.applied(change, answer, now_ns):
             if change.taken_back:
                 return self._under_way.taken_back(change)

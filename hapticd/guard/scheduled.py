@@ -8,7 +8,9 @@ A change must not be kept after its servo has ended: every later verdict would c
 
 from typing import Any, NamedTuple
 
-__all__ = ["ScheduledChanges"]
+__all__ = ["Fields", "ScheduledChanges"]
+
+Fields = dict[str, Any]  # of an environment, nested as in `set`
 
 
 class ScheduledChange(NamedTuple):
@@ -16,7 +18,7 @@ class ScheduledChange(NamedTuple):
 
     tick: int
     seq: int
-    fields: dict[str, Any]  # nested as in `set`
+    fields: Fields
 
 
 class ScheduledChanges:
@@ -29,8 +31,8 @@ class ScheduledChanges:
         """Forget all changes: a new servo holds none."""
         self._changes.clear()
 
-    def add(self, tick: int, seq: int, fields: dict[str, Any]) -> None:
-        """Note that command `seq` changes `fields` at `tick`."""
+    def add(self, tick: int, seq: int, fields: Fields) -> None:
+        """Command `seq` changes `fields` at `tick`."""
         self._changes[seq] = ScheduledChange(tick, seq, fields)
 
     def close(self, seq: int, applied: bool) -> None:
@@ -41,10 +43,8 @@ class ScheduledChanges:
         if not applied:
             self._changes.pop(-seq, None)
 
-    def ends(self, at_tick: int, until_tick: int) -> list[dict[str, Any]]:
-        """Return the values that ends of changes in force at `at_tick` restore up to
-        `until_tick`.
-        """
+    def ends(self, at_tick: int, until_tick: int) -> list[Fields]:
+        """What the ends of changes in force at `at_tick` bring back up to `until_tick`."""
         waiting = {one.seq for one in self._changes.values() if one.tick > at_tick}
         return [
             one.fields
@@ -52,9 +52,9 @@ class ScheduledChanges:
             if one.seq < 0 and -one.seq not in waiting and at_tick < one.tick <= until_tick
         ]
 
-    def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-        """Return the changes due up to `at_tick`, and those after it. Changes due at the present
-        `tick` or earlier are forgotten.
+    def around(self, at_tick: int, tick: int) -> tuple[list[Fields], list[Fields]]:
+        """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
+        forgotten.
         """
         self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
         booked = self._in_order()

@@ -30,6 +30,7 @@ from hapticd.mailbox.layout import (
     values_of,
 )
 from hapticd.protocol.commands import Posting, change_posting, parameters
+from hapticd.protocol.journal import EventCode, sentence
 from hapticd.protocol.schemas import Request, Set
 from hapticd.protocol.view import ServoView
 
@@ -49,6 +50,7 @@ class ChangeReply(NamedTuple):
     change: PendingChange
     error: CommandError | None = None
     receipt: dict[str, Any] | None = None
+    code: EventCode = "answered"  # of the event that tells a receipt
 
 
 def ramp_s(request: Request, default_s: float) -> float:
@@ -113,11 +115,11 @@ class StagedChange:
         state = self._view.state
         ended = change.state is State.ENABLED and state is not State.ENABLED
         if state is not None and state is not change.state and (ended or state in LATCHED):
-            self.cancel(f"the servo is {self._view.state_name}")
+            self.cancel("state_left", state=self._view.state_name)
         elif change.enables and self._view.revision != change.seen:
-            self.cancel("something else was changed before it")
+            self.cancel("changed_before")
         elif now_ns - change.since_ns >= self._patience_ns(change) + STAGE_NS:
-            self.cancel("the gateway stood still meanwhile")
+            self.cancel("stood_still")
         elif self._met(change):
             if free:
                 self.change = None
@@ -127,41 +129,44 @@ class StagedChange:
         elif now_ns - change.since_ns >= self._patience_ns(change):
             effect = float(self._view.record["active_damping_effect_ns_per_m"])
             least = change.stages[change.place].active_damping_at_least
-            lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
-            self.cancel(f"the next stage waited too long: {lacks}")
+            late: EventCode = "damping_late" if least else "ramps_late"
+            self.cancel(late, reported_ns_per_m=effect, needed_ns_per_m=least)
 
-    def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
-        """Post no further stage of a `concerned` change, because of `why`."""
+    def take_back(
+        self, concerned: Callable[[PendingChange], bool], why: EventCode, **fields: Any
+    ) -> None:
+        """Post no further stage of a change that is `concerned`, because of `why`."""
         change = self.change
         if change is not None and concerned(change):
-            self.cancel(why)
+            self.cancel(why, **fields)
         posted = self._posted
         if posted is not None and concerned(posted):
-            posted.taken_back = why
+            posted.taken_back = why, fields
 
     def taken_back(self, change: PendingChange) -> ChangeReply:
         """Return the reply for `change`, one stage of which took effect after it was taken back.
         Force is not enabled.
         """
         self.change = None
-        text = f"{change.taken_back}; what is in force stays"
+        why, fields = change.taken_back or ("answered", {})
         if change.replied:
-            return ChangeReply(change, receipt=self._standing("cancelled", text))
-        return ChangeReply(change, CommandError("refused", f"{change.cmd}: {text}; ask again"))
+            return ChangeReply(change, receipt=self._standing("cancelled") | fields, code=why)
+        text = f"{change.cmd}: {sentence(why, **fields)}; ask again"
+        return ChangeReply(change, CommandError("refused", text))
 
     def supersede(self, by: PendingChange) -> None:
         """Drop the remaining stages, because `by` takes effect."""
         if self.change is by:
             self.change = None
-        self.cancel(f"a newer {by.cmd} of actor {by.actor} came", "superseded")
+        self.cancel("superseded", "superseded", by_cmd=by.cmd, by_actor=by.actor)
 
-    def cancel(self, why: str, result: str = "cancelled") -> None:
-        """Drop the remaining stages, because of `why`."""
+    def cancel(self, why: EventCode, result: str = "cancelled", **fields: Any) -> None:
+        """What is left is not done, because of `why`."""
         change = self.change
         self.change = None
         if change is not None:
-            text = f"{why}; what is in force stays"
-            self._replies.append(ChangeReply(change, receipt=self._standing(result, text)))
+            receipt = self._standing(result) | fields
+            self._replies.append(ChangeReply(change, receipt=receipt, code=why))
 
     def applied(self, change: PendingChange, answer: Answer, now_ns: int) -> bool:
         """Note that a stage of `change` is in force; return whether there are more."""
@@ -194,10 +199,8 @@ class StagedChange:
             (rising_s + ramp_s(change.request, safety.default_ramp_s)) * NS_PER_S
         )
 
-    def _standing(self, result: str, text: str = "") -> dict[str, Any]:
-        """Return a receipt with the values in force, for a change without an answer of
-        the servo.
-        """
+    def _standing(self, result: str) -> dict[str, Any]:
+        """A receipt of what is in force, for what has no answer of the servo of its own."""
         tick = self._view.tick
         return {
             "result": result,
@@ -205,7 +208,7 @@ class StagedChange:
             "first_tick": tick,
             "ramp_end_tick": tick,
             "effective": parameters(self._view.targets),
-        } | ({"text": text} if text else {})
+        }
 
     def _post_stage(self, change: PendingChange, now_ns: int) -> None:
         try:

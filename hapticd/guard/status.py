@@ -23,6 +23,9 @@ from hapticd.core.params import STRICT_POLICIES, GuardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
+from hapticd.guard.pending import PendingChange
+from hapticd.guard.scheduled import Fields
+from hapticd.guard.stages import ramp_s
 from hapticd.guard.terms import Terms, TermsKeeper
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
@@ -175,6 +178,11 @@ class Guard:
             self._looked_at = None
         self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
+    def chooses_level(self, change: PendingChange) -> bool:
+        """Whether the level of damping is the guard's to choose once `change` is in force."""
+        asked = change.request.auto
+        return self.mode == "auto" if asked is None else asked
+
     def set_auto(self, auto: bool) -> None:
         """Set whether the guard selects the level of active damping from now on."""
         self.terms = self.terms._replace(auto=auto)
@@ -220,7 +228,7 @@ class Guard:
         counted = self.delay_periods
         return {
             "counted_periods": model_periods if counted is None else counted,
-            "counted": "assumed by the model" if counted is None else "measured",
+            "measured": counted is not None,
             "measured_p99_periods": self.delay.periods,
             "model_periods": model_periods,
         }
@@ -314,8 +322,30 @@ class Guard:
         if self._hand is None and self._hands and not self._awaited:
             self._ask_hand(now_ns)
 
-    def ask(self, question: dict[str, Any], now_ns: int) -> int:
-        """Ask for a verdict; return the number for `answer`."""
+    def ask(
+        self, change: PendingChange, before: list[Fields], after: list[Fields], now_ns: int
+    ) -> int:
+        """Ask for a verdict on `change`, with what is scheduled `before` and `after` it; the number
+        under which `answer` will have it.
+        """
+        question = {
+            "ask": "change",
+            "now": self.in_force.now().message(),
+            "target": self.in_force.target().message(),
+            "state": self._view.state_name,
+            "gain": float(self._view.record["gain"]),
+            "enable": change.enables,
+            "change": change.request.change(self.in_force.level),
+            "before": before,
+            "after": after,
+            "policy": change.policy,
+            "basis": self.terms.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
+            "mode": "auto" if self.chooses_level(change) else "off",  # a level is in the change
+            "level": self.in_force.level,
+            "delay_periods": self.delay_periods,
+            "ramp_s": ramp_s(change.request, self._view.params.safety.default_ramp_s),
+        }
         self._awaited.add(number := self._send(question, now_ns))
         return number
 
@@ -380,8 +410,7 @@ class Guard:
             self._timing = {"measured": about.delay_periods is not None, **timing}
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
-            text = f"what is in force is not known to be passive any more: {verdict.get('text')}"
-            self._journal.note("warning", text=text)
+            self._journal.note("not_passive", guard=verdict, reason=verdict.get("text"))
 
     def _expire(self, now_ns: int) -> None:
         if self._worker is None:
@@ -405,15 +434,8 @@ class Guard:
         self._hand = self._send(question, now_ns), about
 
     def _tell_hand(self, about: dict[str, Any], hand: Any) -> None:
-        found = hand if isinstance(hand, dict) else {}
-        text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
-        text += f"; {found['growth']}" if found.get("growth") else ""
-        self._journal.note(
-            "guard",
-            **about,
-            hand=found or None,
-            text=text or "no single mass or spring was found that would shake the device",
-        )
+        found = hand if isinstance(hand, dict) and hand.keys() >= {"text", "growth"} else None
+        self._journal.note("hand" if found else "no_hand", **about, hand=found)
 
     # --- the topic --------------------------------------------------------------------------------
 

@@ -33,11 +33,6 @@ class Terms(NamedTuple):
     margin_ns_per_m: float  # required
     auto: bool = False  # the guard selects the level of active damping
 
-    def words(self) -> str:
-        """Return a description for users."""
-        mode = ", damping auto" if self.auto else ""
-        return f"{self.policy} by {self.basis}, margin {self.margin_ns_per_m:g} N s/m{mode}"
-
 
 def stricter_of(chosen: Terms, configured: Terms) -> Terms:
     """Return `chosen`, with each term that is laxer than in `configured` replaced.
@@ -104,7 +99,7 @@ class TermsKeeper:
             write_terms(view.folder, epoch, terms)
         except MailboxError as error:
             if terms != self._failed:
-                self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
+                self._journal.note("terms_not_kept", reason=str(error))
             self._failed = terms
             self._retry_ns = now_ns + RETRY_NS
             return terms
@@ -117,9 +112,11 @@ class TermsKeeper:
         before = read_terms(self._view.folder, epoch) or self._configured
         terms = stricter_of(before, self._configured)
         if before != self._configured:
-            text = (
-                f"the gateway has started anew; asked of the guard was {before.words()}, configured"
-                f" is {self._configured.words()}; it goes by {terms.words()}"
+            self._journal.note(
+                "terms_after_restart",
+                asked=before._asdict(),
+                configured=self._configured._asdict(),
+                terms=terms._asdict(),
+                mode="auto" if terms.auto else "",
             )
-            self._journal.note("warning", text=text)
         return terms

@@ -24,13 +24,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product, takewhile
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.core.environment import Environment, flat
-from hapticd.core.errors import AnalysisError
+from hapticd.core.environment import Environment
 
 POINTS = 20  # of a whole path
 AXES = ("K", "B", "M")
@@ -82,8 +80,8 @@ class TransitionPlanner:
 
     @cached_property
     def wanted(self) -> Environment:
-        """The end of the change."""
-        return apply_change(self.target, self.change)
+        """Where the change leads."""
+        return self.target.changed(self.change)
 
     def plans(self) -> list[Plan]:
         """Return the plans with their stages; the first is used if safety is not required."""
@@ -105,7 +103,7 @@ class TransitionPlanner:
                 now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
                 now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
-            end = apply_change(target, stage.change)
+            end = target.changed(stage.change)
             segments.append(Segment(now, target, end))
             target = end
         return Plan(stages, segments, target)
@@ -164,7 +162,7 @@ class TransitionPlanner:
     def _later(self, start: Environment) -> list[Segment]:
         segments = []
         for change in self.after:
-            end = apply_change(start, change)
+            end = start.changed(change)
             segments.append(Segment(start, start, end))
             start = end
         return segments
@@ -322,22 +320,12 @@ def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -
 
 
 def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
-    """Return the environment in the fields of a message; omitted fields are 0. Its filters have the
-    discretisation of `rendered`. AnalysisError for a number that is not finite.
+    """The environment in the fields of a message, its filters made discrete as those of `rendered`;
+    what the message leaves out is 0. ConfigError for a number that is not finite.
     """
     velocity, acceleration = rendered.filters
     nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)
-    return apply_change(nothing, plain)
-
-
-def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
-    """Return `environment` with the fields of a request. AnalysisError for a number that is not
-    finite.
-    """
-    for name, value in flat(change):
-        if isinstance(value, float) and not isfinite(value):
-            raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
-    return environment.changed(change)
+    return nothing.changed(plain)
 
 
 def interpolate(

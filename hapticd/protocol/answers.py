@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from functools import lru_cache
 from types import NoneType, UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import ServoParams
@@ -35,6 +35,7 @@ __all__ = [
     "LeaseHeld",
     "LeaseReleased",
     "Limit",
+    "LimitCycleFault",
     "Receipt",
     "Room",
     "StageTimes",
@@ -46,6 +47,9 @@ __all__ = [
 ]
 
 A = TypeVar("A")
+# whether a fault that ends a limit cycle is on, or why it is off: the device file gives no value,
+# measuring is leased, or it was asked or configured so
+LimitCycleFault = Literal["on", "no_overspeed", "no_physical_damping", "measuring", "off"]
 
 
 def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
@@ -232,15 +236,16 @@ class LeaseReleased:
 
     what: str = ""
     released: bool = False  #: whether it was held until then
-    text: str = ""  #: the end of the lease, in words
+    code: str = ""  #: how it ended: a `journal.EventCode`
+    text: str = ""  #: the same in words
 
 
 @dataclass(frozen=True, slots=True)
 class Delays:
     """The delay from a sample to its force, in periods of the servo."""
 
-    counted_periods: float | None = None  #: used by the guard
-    counted: str = ""  #: its source: measured, or assumed by the model
+    counted_periods: float | None = None  #: on which the guard counts
+    measured: bool = False  #: whether that one is; else the model's
     measured_p99_periods: float | None = None
     model_periods: float | None = None
 
@@ -354,16 +359,6 @@ class Room:
         """Whether less than a quarter of the period is left."""
         return self.tick_us > (1.0 - LEAST_IDLE_SHARE) * self.period_us
 
-    @property
-    def text(self) -> str:
-        """The warning."""
-        share = 100.0 * self.tick_us / self.period_us
-        return (
-            f"a tick takes {self.tick_us:.0f} us of its {self.period_us:.0f} us ({share:.0f} %, at"
-            f" most {100.0 * (1.0 - LEAST_IDLE_SHARE):.0f} % is safe): ticks will be late; set"
-            f" realtime.rate_hz to {self.highest_rate_hz:g} or less, or see `hapticd doctor`"
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event(Receipt):
@@ -372,6 +367,7 @@ class Event(Receipt):
     """
 
     kind: str = ""  #: see `journal`; a newer daemon may have others
+    code: str = ""  #: which event of that kind: a `journal.EventCode`
     timestamp: float = 0.0  #: Unix time, s
     tick: int = -1
     actor: int = 0  #: number of the client that caused it
@@ -387,19 +383,31 @@ class Event(Receipt):
     hand: Hand | None = None  #: None: none was found
     seq: int = 0  #: of the record after a gap
     lost: int = 0  #: records in the gap
-    epoch: int = 0  #: monotonic time of the servo's start, ns
-    path: str = ""  #: of a flight recording
-    reason: str = ""  #: of the recording
-    what: str = ""  #: subject of the lease
-    change: str = ""  #: of the lease: taken, or the kind of its end
-    by: str = ""  #: client that took it over
-    excess_j: float | None = None  #: leaked energy
-    tick_us: float = 0.0  #: duration of a tick that leaves too little of its period
+    epoch: int = 0  #: monotonic time at which the servo started, ns
+    path: str = ""  #: of a flight recording, or of a file of keys
+    reason: str = ""  #: why it was written, or why something failed
+    error: str = ""  #: code of a refusal
+    what: str = ""  #: that is leased
+    by: str = ""  #: who took the lease over
+    ttl_s: float = 0.0  #: of the lease
+    by_cmd: str = ""  #: of the request because of which the rest of a change is not done
+    by_actor: int = 0  #: who asked it
+    reported_ns_per_m: float | None = None  #: active damping that the board reports
+    needed_ns_per_m: float | None = None  #: that the next stage waited for
+    excess_j: float | None = None  #: energy that leaked
+    tick_us: float = 0.0  #: that a tick takes of its period, where that is too much
     period_us: float = 0.0
     highest_rate_hz: float = 0.0  #: that would leave enough
-    address: str = ""  #: of a refused subscriber
-    times: int = 0  #: number of refusals
-    text: str = ""  #: description
+    percent: float = 0.0  #: of the period, or of the active damping that is commanded
+    delivered: Delivered | None = None  #: of the active damping, where it is too little
+    asked: dict[str, Any] = field(default_factory=dict)  #: of the guard, before the gateway started
+    configured: dict[str, Any] = field(default_factory=dict)  #: for the guard
+    terms: dict[str, Any] = field(default_factory=dict)  #: by which the guard judges from now on
+    mode: str = ""  #: of the active damping, if the guard chooses it
+    address: str = ""  #: of a listener that was refused, or at which telemetry is offered
+    port: int = 0  #: that is taken
+    times: int = 1  #: how often
+    text: str = ""  #: one sentence made of these
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -436,8 +444,8 @@ class Status(InForce):
     actor: int = 0  #: client of the last change
     actor_name: str = ""
     actors: dict[Any, str] = field(default_factory=dict)  #: names by number
-    limit_cycle_faults: dict[str, str] = field(default_factory=dict)  #: on, or why off
-    commissioning: dict[str, Any] | None = None  #: restrictions until the signs are verified
+    limit_cycle_faults: dict[str, LimitCycleFault] = field(default_factory=dict)  #: by their names
+    commissioning: dict[str, Any] | None = None  #: what holds until the signs are verified
     compensation: Compensation | None = None
     leases: dict[str, LeaseHeld] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)

@@ -10,7 +10,7 @@ import ipaddress
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import GatewayParams
 
-__all__ = ["LEAVE_NEEDED", "needs_keys", "warning", "without_leave"]
+__all__ = ["LEAVE_NEEDED", "in_the_clear", "needs_keys", "without_leave"]
 
 
 def is_loopback(host: str) -> bool:
@@ -37,19 +37,14 @@ def without_leave(params: GatewayParams) -> bool:
     )
 
 
-def warning(params: GatewayParams) -> str | None:
-    """Return the warning about the configuration, or None.
+def in_the_clear(params: GatewayParams) -> bool:
+    """Whether telemetry leaves the machine without keys or encryption.
 
-    ConfigError if telemetry would leave the machine unencrypted without permission.
+    ConfigError if that would be without leave.
     """
-    if is_loopback(params.tcp_host) or params.curve_keys is not None:
-        return None
     if without_leave(params):
         raise ConfigError(f"gateway.tcp_host = {params.tcp_host!r}: {LEAVE_NEEDED}")
-    return (
-        f"INSECURE: telemetry is offered on {params.tcp_host} to everyone, without keys or"
-        " encryption; set gateway.curve_keys"
-    )
+    return not is_loopback(params.tcp_host) and params.curve_keys is None
 
 
 def needs_keys(params: GatewayParams) -> bool:

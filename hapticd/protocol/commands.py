@@ -140,8 +140,8 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
 @lru_cache(8)  # the gateway asks several times a look, and the answer seldom changes
 def rendered(effective: tuple[float, ...]) -> Environment:
-    """Return the environment in the doubles of an answer; its damping is 0 unless switched on."""
-    found = Environment().from_row(effective)
+    """What is rendered by the doubles of an answer: its level acts only while it is on."""
+    found = Environment().with_slots(dict(enumerate(effective)))
     level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
     return replace(found, active_damping_ns_per_m=level)
 

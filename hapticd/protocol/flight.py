@@ -38,7 +38,7 @@ from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.client_side import Checkpoint, Noted
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import State
-from hapticd.protocol.journal import Journal
+from hapticd.protocol.journal import EventCode, Journal
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.telemetry import TICK_DESCR, Origin, RingBlock
 from hapticd.protocol.view import Records, ServoView
@@ -163,7 +163,7 @@ class FlightRecorder:
             (setup.gateway.flight_s + CHECKPOINT_S) * setup.servo.realtime.rate_hz
         )
         self._threads: list[threading.Thread] = []
-        self._written: deque[dict[str, Any]] = deque()
+        self._written: deque[tuple[EventCode, dict[str, Any]]] = deque()
         self._origin: Origin | None = None
         self._clear()
 
@@ -322,26 +322,21 @@ class FlightRecorder:
         }
 
     def _write(self, path: Path, header: dict[str, Any], blocks: list[bytes], reason: str) -> None:
-        """Write the file, in a thread: only the queue of results is shared."""
-        event = {"reason": reason, "path": str(path)}
+        """In a thread: nothing here is shared but the queue of results."""
+        event: tuple[EventCode, dict[str, Any]] = "flight", {"reason": reason, "path": str(path)}
         try:
             write_flight(path, header, blocks)
             for old in sorted(path.parent.glob(f"*{SUFFIX}"))[:-FILES_KEPT]:
                 old.unlink(missing_ok=True)
         except OSError as error:
-            event["error"] = f"{error.strerror}; free some space or correct its rights"
+            failed = {"reason": error.strerror, "path": str(path)}
+            event = "flight_not_written", failed
         self._written.append(event)
 
     def _tell(self) -> None:
         while self._written:
-            event = self._written.popleft()
-            if error := event.get("error"):
-                self._journal.note(
-                    "warning",
-                    text=f"{event['path']}: the flight recording could not be written: {error}",
-                )
-            else:
-                self._journal.note("flight", **event)
+            code, fields = self._written.popleft()
+            self._journal.note(code, **fields)
 
     def close(self) -> None:
         """Finish the recordings being written."""

@@ -1,10 +1,9 @@
 """The journal: events, and the actors behind them.
 
-Events are maps, kept for `status` and queued for the topic `event`. Their kinds: `state` (from, to,
-fault with cause, action and remedy, actor), `answer` (the outcome of a scheduled or staged change),
-`guard` (the hand that destabilises a request), `gap` (ticks that were overwritten before they were
-read), `servo_up`, `servo_down`, `flight` (path, reason), `lease` (what, change, actor, name, by),
-`controlled` (tick, excess_j, text: the energy controller acted), `warning`.
+Events are maps, one per event: kept for `status`, and queued for the topic `event`. Each has a
+`kind`, a `code` and the fields of `answers.Event` that belong to it. Programs read these. The
+`text` is for people, of clients in any language and of any version. It is made here alone, from the
+code and the fields.
 
 An actor is a small number for each client, which every tick record contains, and the name that the
 client has chosen. Both exist as long as the connection, and are remembered for the clients that
@@ -13,15 +12,132 @@ left last. Numbers are never reused in a servo life, even by another gateway.
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Any
+from string import Formatter
+from typing import Any, Final, Literal
 
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
 
-__all__ = ["GATEWAY_ACTOR", "Actors", "Journal"]
+__all__ = ["EVENTS", "GATEWAY_ACTOR", "Actors", "EventCode", "Journal", "sentence"]
 
 KEPT = 32
 QUEUED = 256
+STAYS = "; the environment in force stays"
+LEASE = "the lease of {what} by {name} (actor {actor}) "
+
+EventCode = Literal[
+    "state", "fault", "servo_up", "servo_down", "gap", "flight", "mark", "controlled",
+    "answered", "refused", "superseded", "asked_meanwhile", "changed_before", "state_left",
+    "stood_still", "damping_late", "ramps_late", "other_terms", "client_gone", "client_failed",
+    "hand", "no_hand",
+    "lease_taken", "lease_released", "lease_taken_over", "lease_silent", "lease_gone",
+    "lease_failed",
+    "tick_too_long", "damping_low", "not_passive", "terms_not_kept", "terms_after_restart",
+    "answers_lost", "flight_not_written", "telemetry_open", "port_taken", "listener_refused",
+    "key_unreadable", "relay_ended",
+]  # fmt: skip
+# of every event its kind and its sentence, whose later parts may be left out (`sentence`)
+EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
+    "state": ("state", "{before} -> {state}", " (by {name})"),
+    "fault": ("state", "{before} -> {state}", " (by {name})", ": {fault}: {cause}; {remedy}"),
+    "servo_up": ("servo_up", "the servo runs"),
+    "servo_down": ("servo_down", "the servo has ended, or does not answer any more"),
+    "gap": ("gap", "{lost} ticks were overwritten before telemetry had read them"),
+    "flight": ("flight", "flight recording of {reason}: {path}"),
+    "mark": ("mark", "{text}"),
+    "controlled": (
+        "controlled",
+        "the display gave out energy that nothing accounts for: the servo raised the active damping"
+        " or halved K, B, M and those of the wall; ask for smaller values before you set them"
+        " again",
+    ),
+    # what became of a change that was scheduled or goes in stages
+    "answered": ("answer", ""),
+    "refused": ("answer", "{reason}"),
+    "superseded": ("answer", "a newer {by_cmd} of actor {by_actor} came" + STAYS),
+    "asked_meanwhile": ("answer", "{by_cmd} was asked meanwhile" + STAYS),
+    "changed_before": ("answer", "something else was changed before it" + STAYS),
+    "state_left": ("answer", "the servo is {state}" + STAYS),
+    "stood_still": ("answer", "the gateway stood still meanwhile" + STAYS),
+    "damping_late": (
+        "answer",
+        "the next stage waited too long: the board reports {reported_ns_per_m:.3g} of"
+        " {needed_ns_per_m:.3g} N s/m" + STAYS,
+    ),
+    "ramps_late": ("answer", "the next stage waited too long: ramps are still under way" + STAYS),
+    "other_terms": ("answer", "the terms of the guard have changed since it was judged" + STAYS),
+    "client_gone": ("answer", "the connection of its client is gone" + STAYS),
+    "client_failed": ("answer", "its client has failed" + STAYS),
+    # whether a hand would shake what was asked
+    "hand": ("guard", "a hand that would shake the device: {hand[text]}; {hand[growth]}"),
+    "no_hand": ("guard", "no single mass or spring was found that would shake the device"),
+    "lease_taken": ("lease", "{name} (actor {actor}) took the lease of {what}"),
+    "lease_released": ("lease", LEASE + "was released"),
+    "lease_taken_over": ("lease", LEASE + "was taken over by {by}"),
+    "lease_silent": ("lease", LEASE + "ended: its holder was silent for {ttl_s:g} s"),
+    "lease_gone": ("lease", LEASE + "ended with the connection of its holder"),
+    "lease_failed": ("lease", LEASE + "ended: its holder failed"),
+    "tick_too_long": (
+        "warning",
+        "a tick takes {tick_us:.0f} us of its {period_us:.0f} us ({percent:.0f} %, at most 75 % is"
+        " safe): ticks will be late; set realtime.rate_hz to {highest_rate_hz:g} or less, or see"
+        " `hapticd doctor`",
+    ),
+    "damping_low": (
+        "warning",
+        "active damping: {delivered[estimate_ns_per_m]:.3g} N s/m ({delivered[low]:.3g} to"
+        " {delivered[high]:.3g}) delivered of {delivered[commanded]:.3g} N s/m commanded,"
+        " {percent:.0f} %, by {delivered[basis]}; look at the amplifier, its supply and the"
+        " resistance compensation",
+    ),
+    "not_passive": (
+        "warning",
+        "the environment in force is no longer known to be passive: {reason}",
+    ),
+    "terms_not_kept": ("warning", "the terms of the guard could not be kept: {reason}"),
+    "terms_after_restart": (
+        "warning",
+        "the gateway has started anew; the guard was asked for {asked[policy]} by {asked[basis]},"
+        " margin {asked[margin_ns_per_m]:g} N s/m; the configuration is {configured[policy]} by"
+        " {configured[basis]}, margin {configured[margin_ns_per_m]:g} N s/m; from now on the guard"
+        " judges under {terms[policy]} by {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m",
+        ", damping {mode}",
+    ),
+    "answers_lost": ("warning", "{reason}"),
+    "flight_not_written": (
+        "warning",
+        "{path}: the flight recording could not be written: {reason}; free some space or correct"
+        " its rights",
+    ),
+    "telemetry_open": (
+        "warning",
+        "INSECURE: telemetry is offered on {address} to everyone, without keys or encryption; set"
+        " gateway.curve_keys",
+    ),
+    "port_taken": ("warning", "port {port} is taken, telemetry is at {address} instead"),
+    "listener_refused": (
+        "warning",
+        "telemetry refused",
+        " to {address}",
+        ": {reason}",
+        ", {times} times",
+        "; who may listen is made known by `hapticd keys client`",
+    ),
+    "key_unreadable": ("warning", "{path} lets nobody listen: {reason}"),
+    "relay_ended": ("warning", "no telemetry for other computers: {reason}"),
+}
+
+
+def sentence(code: EventCode, **fields: Any) -> str:
+    """The event for people; without later parts of which a field is missing, None or empty."""
+    _, first, *later = EVENTS[code]
+    given = {name for name, value in fields.items() if value not in (None, "")}
+    told = [part for part in later if given.issuperset(_fields_of(part))]
+    return "".join([first, *told]).format(**fields)
+
+
+def _fields_of(part: str) -> set[str]:
+    return {name.partition("[")[0] for _, name, _, _ in Formatter().parse(part) if name}
 
 
 class Journal:
@@ -32,9 +148,15 @@ class Journal:
         self.recent: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self._queue: deque[dict[str, Any]] = deque(maxlen=QUEUED)
 
-    def note(self, kind: str, unix_ns: int | None = None, **fields: Any) -> None:
-        """Note an event of `kind`, at `unix_ns` or now."""
-        event = {"timestamp": (unix_ns or self._unix_ns()) / NS_PER_S, "kind": kind, **fields}
+    def note(self, code: EventCode, unix_ns: int | None = None, **fields: Any) -> None:
+        """Note an event with `fields`; it happened now unless `unix_ns` says when."""
+        event = {
+            "timestamp": (unix_ns or self._unix_ns()) / NS_PER_S,
+            "kind": EVENTS[code][0],
+            "code": code,
+            **fields,
+            "text": sentence(code, **fields),
+        }
         self.recent.append(event)
         self._queue.append(event)
 

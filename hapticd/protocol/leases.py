@@ -28,17 +28,14 @@ from typing import Any, NamedTuple
 
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S, round_half_up
+from hapticd.protocol.journal import EventCode, sentence
 
 __all__ = [
     "DAMPING",
     "ENVIRONMENT",
-    "FAILED",
-    "GONE",
     "MEASURING",
     "PARTS",
     "PERTURBATION",
-    "RELEASED",
-    "SILENT",
     "Ended",
     "Lease",
     "Leases",
@@ -56,12 +53,6 @@ PARTS = {
 }
 LATE_NS = NS_PER_S // 2  # after a longer pause between passes, no request was received meanwhile
 MOST_LOST = 1024  # remembered losses
-
-RELEASED = "released"
-TAKEN_OVER = "taken over"
-SILENT = "silent"
-GONE = "gone"
-FAILED = "failed"
 
 
 class Lease(NamedTuple):
@@ -84,21 +75,20 @@ class Ended(NamedTuple):
     """An ended lease, and the kind of its end."""
 
     lease: Lease
-    how: str  # RELEASED | TAKEN_OVER | SILENT | GONE | FAILED
-    by: str = ""  # client that took it over
+    how: EventCode
+    by: str = ""  # who took it over
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Of its event."""
+        lease = self.lease
+        about = {"what": lease.what, "actor": lease.actor, "name": lease.name}
+        return about | {"by": self.by, "ttl_s": lease.ttl_ns / NS_PER_S}
 
     @property
     def text(self) -> str:
-        """Its end in words."""
-        ttl_s = self.lease.ttl_ns / NS_PER_S
-        words = {
-            RELEASED: "was released",
-            TAKEN_OVER: f"was taken over by {self.by}",
-            SILENT: f"ended: its holder was silent for {ttl_s:g} s",
-            GONE: "ended with the connection of its holder",
-            FAILED: "ended: its holder failed",
-        }
-        return f"the lease of {self.lease.what} by {self.lease.holder} {words[self.how]}"
+        """What happened to it, in words."""
+        return sentence(self.how, **self.fields)
 
 
 class Leases:
@@ -152,7 +142,9 @@ class Leases:
         ]
         if others and not take_over:
             raise self._refusal(others[0])
-        ended = [self._end(lease, TAKEN_OVER, f"{name} (actor {actor})") for lease in others]
+        ended = [
+            self._end(lease, "lease_taken_over", f"{name} (actor {actor})") for lease in others
+        ]
         ttl_ns = round_half_up(ttl_s * NS_PER_S)
         self._held[what] = Lease(what, actor, name, ttl_ns, at_end, self._now_ns + ttl_ns)
         self._acknowledge(actor, what)
@@ -167,8 +159,9 @@ class Leases:
             )
         self.heard(actor)
 
-    def release(self, what: str, actor: int, how: str = RELEASED) -> Ended:
-        """End the lease of `what`, or acknowledge its loss; return its end, now or before.
+    def release(self, what: str, actor: int, how: EventCode = "lease_released") -> Ended:
+        """End the lease of `what`, or own up to its loss; how it ended, then or before. `how` is
+        `lease_failed` where the holder gives up because of an error of its own.
 
         `how` is FAILED if the holder gives up because of its own error. CommandError: another
         client holds it, or none does; nothing changed.
@@ -199,12 +192,12 @@ class Leases:
         if not 0 <= step_ns <= LATE_NS:
             self._put_off(step_ns)
         late = [lease for lease in self._held.values() if lease.deadline_ns <= now_ns]
-        return [self._end(lease, SILENT) for lease in late]
+        return [self._end(lease, "lease_silent") for lease in late]
 
     def leave(self, actor: int) -> list[Ended]:
         """Return the leases that end with the connection of `actor`."""
         mine = [lease for lease in self._held.values() if lease.actor == actor]
-        return [self._end(lease, GONE) for lease in mine]
+        return [self._end(lease, "lease_gone") for lease in mine]
 
     def shown(self) -> dict[str, dict[str, Any]]:
         """Return the held leases: {what: {name, actor, left_s, ttl_s, at_end}}, for users and
@@ -229,10 +222,10 @@ class Leases:
         for lease in list(self._held.values()):
             self._held[lease.what] = lease._replace(deadline_ns=lease.deadline_ns + step_ns)
 
-    def _end(self, lease: Lease, how: str, by: str = "") -> Ended:
+    def _end(self, lease: Lease, how: EventCode, by: str = "") -> Ended:
         del self._held[lease.what]
         ended = Ended(lease, how, by)
-        if how not in (RELEASED, FAILED):
+        if how not in ("lease_released", "lease_failed"):
             for part in PARTS[lease.what]:
                 self._lost[lease.actor, part] = ended
         while len(self._lost) > MOST_LOST:

@@ -132,7 +132,7 @@ def test_terms_that_could_not_be_kept_are_tried_again(
         patch.setattr(terms, "write_terms", no_room)
         rig.ask(cmd="guard", policy="refuse")
         rig.run(2000)
-    warnings = [one for one in rig.journal.recent if "not kept" in one.get("text", "")]
+    warnings = [one for one in rig.journal.recent if one["code"] == "terms_not_kept"]
     assert len(warnings) == 1
     rig.run(1100)
     rig.start_gateway()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
-from hapticd.core.errors import AnalysisError
+from hapticd.core.errors import ConfigError
 from hapticd.guard import policies
 from hapticd.guard.explain import doubling_text
 from hapticd.guard.judge import Judge
@@ -308,7 +308,7 @@ def test_level_is_bounded_by_the_ceiling() -> None:
 
 
 def test_a_number_that_is_not_finite_is_an_error() -> None:
-    with pytest.raises(AnalysisError, match="finite"):
+    with pytest.raises(ConfigError, match="finite"):
         change(shipped_judge(), {"K": float("nan")})
 
 

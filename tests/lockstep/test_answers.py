@@ -41,7 +41,7 @@ NUMBERS_WITHOUT_UNIT = {
     *("homed", "perturbing", "gain", "counters", "requests", "waiting", "number", "stages"),
     *("pid", "protocol", "count", "path_points", "radius", "low", "high", "ratio", "commanded"),
     *("timestamp", "lost_share", "loop_gain", "loop_gain_at_ceiling", "least_loop_gain"),
-    *("id", "seq", "lost", "times", "hz"),
+    *("id", "seq", "lost", "times", "hz", "by_actor", "port", "percent"),
     *("allowed", "seconds"),  # their units stand in the comments
 }
 KINDS = [one for name in answers.__all__ if dataclasses.is_dataclass(one := getattr(answers, name))]

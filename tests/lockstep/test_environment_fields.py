@@ -94,7 +94,7 @@ def test_whole_environment_comes_back_from_its_row_and_its_message() -> None:
     rows = {one.path: asked_value(one) for one in FIELDS}
     whole = Environment().with_values(rows)
     row = [whole.row().get(place, 0.0) for place in range(COMMAND_VALUES)]
-    assert Environment().from_row(row) == whole
+    assert Environment().with_slots(dict(enumerate(row))) == whole
     assert Environment().changed(whole.message()) == whole
     assert whole.fields({"wall": {"side": 0}, "K": 0}) == {
         "wall": {"side": -1},

@@ -369,4 +369,5 @@ def test_lease_is_shown_at_once_in_state_and_event_and_ends_with_its_connection(
     while msgpack.unpackb(rig.receive(states)[1])["leases"]:
         assert rig.clock.now_ns() - begin_ns < 900 * NS_PER_MS
     events = rig.ask(rig.client(), cmd="status")["result"]["events"]
-    assert [one["change"] for one in events if one["kind"] == "lease"] == ["taken", "gone"]
+    codes = [one["code"] for one in events if one["kind"] == "lease"]
+    assert codes == ["lease_taken", "lease_gone"]

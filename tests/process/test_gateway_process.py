@@ -149,9 +149,9 @@ def test_client_that_dies_or_hangs_loses_its_lease(rig: GatewayRig, kill: int) -
         status = rig.ask(other, cmd="status")["result"]
         assert status["state"] == "disabled"
         assert status["limit_cycle_faults"]["force_at_limit"] == "on"
-        assert [one["change"] for one in status["events"] if one["kind"] == "lease"] == [
-            "taken",
-            "gone" if kill == signal.SIGKILL else "silent",
+        assert [one["code"] for one in status["events"] if one["kind"] == "lease"] == [
+            "lease_taken",
+            "lease_gone" if kill == signal.SIGKILL else "lease_silent",
         ]
         assert rig.ask(other, cmd="set", K=5)["ok"]
     finally:

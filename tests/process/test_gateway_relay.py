@@ -71,7 +71,9 @@ def test_who_is_refused_is_told_with_address_and_reason(rig: RelayRig, kind: str
     # nor has a connection that has ended before the relay looks an address any more
     known = {"stranger": ["127.0.0.1"]}.get(kind, ["127.0.0.1", ""])
     assert event["address"] in known
-    assert event["text"].startswith(f"telemetry refused to {event['address'] or 'somebody'}: ")
+    assert event["code"] == "listener_refused"
+    whom = f" to {event['address']}" if event["address"] else ""
+    assert event["text"].startswith(f"telemetry refused{whom}: ")
     assert rig.outside()["refused"] >= 1
 
 

@@ -206,12 +206,12 @@ def test_guard_without_a_worker_says_why_there_is_no_verdict(
     ("counted", "measured", "says"),
     [
         (
-            (0.25, "measured"),
+            (0.25, True),
             0.375,
             "0.25 periods, measured (p99 of the last minute: 0.375, the model assumes 0.125)",
         ),
         (
-            (0.125, "assumed by the model"),
+            (0.125, False),
             None,
             "0.125 periods, assumed by the model (p99 of the last minute: not known yet, the model"
             " assumes 0.125)",
@@ -219,11 +219,11 @@ def test_guard_without_a_worker_says_why_there_is_no_verdict(
     ],
 )
 def test_delays_are_named_and_which_one_is_counted_on(
-    counted: tuple[float, str], measured: float | None, says: str
+    counted: tuple[float, bool], measured: float | None, says: str
 ) -> None:
     delays = {
         "counted_periods": counted[0],
-        "counted": counted[1],
+        "measured": counted[1],
         "measured_p99_periods": measured,
         "model_periods": 0.125,
     }

@@ -312,7 +312,7 @@ def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualC
 
 
 HAPPENED = [
-    {"timestamp": 0.0, "kind": "state", "before": "disabled", "state": "enabled", "name": "sweep"},
+    {"timestamp": 0.0, "kind": "state", "text": "disabled -> enabled (by sweep)"},
     {"timestamp": 2.0, "kind": "warning", "text": "the disk is full"},
 ]
 

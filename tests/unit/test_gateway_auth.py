@@ -43,17 +43,18 @@ def test_open_network_is_refused() -> None:
             r" gateway.curve_keys"
         ),
     ):
-        auth.warning(GatewayParams(tcp_host="0.0.0.0"))
+        auth.in_the_clear(GatewayParams(tcp_host="0.0.0.0"))
 
 
 def test_loopback_and_keys_need_no_warning() -> None:
-    assert auth.warning(GatewayParams()) is None
-    assert auth.warning(GatewayParams(tcp_host="0.0.0.0", curve_keys="keys")) is None
+    assert not auth.in_the_clear(GatewayParams())
+    assert not auth.in_the_clear(GatewayParams(tcp_host="0.0.0.0", curve_keys="keys"))
 
 
 def test_insecure_leave_is_a_loud_event(tmp_path: Path) -> None:
     with GatewayRig(tmp_path, tcp_host="0.0.0.0", allow_insecure=True) as rig:
         (event,) = [event for event in rig.gateway._journal.recent if event["kind"] == "warning"]
+    assert (event["code"], event["address"]) == ("telemetry_open", "0.0.0.0")
     assert event["text"].startswith("INSECURE: telemetry is offered on 0.0.0.0 to everyone")
 
 

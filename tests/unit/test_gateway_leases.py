@@ -320,9 +320,9 @@ def test_take_over_moves_nothing_and_refuses_the_former_holder(rig: CommandServe
     actor = rig.server.actors.number(B)
     message = rig.ask(A, cmd="set", K=3)["error"]["message"]
     assert f"was taken over by operator (actor {actor})" in message
-    assert [(event["change"], event["actor"]) for event in events(rig)] == [
-        ("taken over", rig.server.actors.number(A)),
-        ("taken", actor),
+    assert [(event["code"], event["actor"]) for event in events(rig)] == [
+        ("lease_taken_over", rig.server.actors.number(A)),
+        ("lease_taken", actor),
     ]
     assert rig.ask(B, cmd="set", K=3)["ok"]
 
@@ -705,7 +705,7 @@ def test_no_part_ever_has_two_holders_and_every_end_is_told_once(seed: int) -> N
             late = {one[:2] for one in parts.of.values() if one[2] <= now_ns}
             ended = leases.advance(now_ns)
             assert {(one.lease.actor, one.lease.what) for one in ended} == late
-            assert {one.how for one in ended} <= {"silent"}
+            assert {one.how for one in ended} <= {"lease_silent"}
             for one in late:
                 parts.drop(*one)
         elif act in ("take", "over") and mine <= {what}:
@@ -720,7 +720,7 @@ def test_no_part_ever_has_two_holders_and_every_end_is_told_once(seed: int) -> N
             for part in COVERED[what]:
                 parts.of[part] = actor, what, now_ns + round(ttl_s * NS_PER_S)
         elif act == "release" and what in mine:
-            assert leases.release(what, actor).how == "released"
+            assert leases.release(what, actor).how == "lease_released"
             parts.drop(actor, what)
         elif act == "leave":
             assert {one.lease.what for one in leases.leave(actor)} == mine

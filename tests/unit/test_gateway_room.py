@@ -1,9 +1,13 @@
 """The daemon warns where a tick leaves less than a quarter of its period."""
 
+from dataclasses import asdict
+
 import pytest
 
 from hapticd.gateway.tick_times import ENOUGH, room_of
 from hapticd.mailbox.layout import STAGES
+from hapticd.protocol.answers import LEAST_IDLE_SHARE
+from hapticd.protocol.journal import sentence
 from hapticd.run.doctor.late import judge_room
 
 
@@ -23,8 +27,11 @@ def test_quarter_of_the_period_has_to_be_left(
     room = room_of(stages(tick_us), rate_hz)
     assert (room.short, room.highest_rate_hz) == (short, highest_hz)
     assert not room_of(stages(tick_us), room.highest_rate_hz).short
-    assert f"a tick takes {tick_us:.0f} us" in room.text
-    assert f"realtime.rate_hz to {highest_hz:g} or less" in room.text
+    percent = 100.0 * room.tick_us / room.period_us
+    text = sentence("tick_too_long", percent=percent, **asdict(room))
+    assert f"a tick takes {tick_us:.0f} us" in text
+    assert f"({percent:.0f} %, at most {100.0 * (1.0 - LEAST_IDLE_SHARE):.0f} % is safe)" in text
+    assert f"realtime.rate_hz to {highest_hz:g} or less" in text
     check = judge_room(room)
     assert check.level == ("warn" if short else "ok")
     assert f"left up to {highest_hz:g} Hz" in check.found

@@ -47,8 +47,8 @@ def test_stricter_policy_survives_the_gateway_and_it_is_said(
     found = started_anew(rig)
     assert (found["policy"], found["margin_ns_per_m"]) == (policy, 0.2)
     (text,) = warnings(rig)
-    assert f"asked of the guard was {policy} by theorem, margin 0.2" in text
-    assert "configured is warn by theorem, margin 0 N s/m" in text
+    assert f"the guard was asked for {policy} by theorem, margin 0.2" in text
+    assert "the configuration is warn by theorem, margin 0 N s/m" in text
 
 
 @pytest.mark.parametrize("policy", ["off", "warn"])
@@ -61,8 +61,8 @@ def test_laxer_policy_ends_with_the_gateway_and_it_is_said(
     assert (found["policy"], found["margin_ns_per_m"]) == ("refuse", 0.3)
     assert found["basis"] == "theorem"
     (text,) = warnings(rig)
-    assert f"asked of the guard was {policy} by predicted" in text
-    assert "it goes by refuse by theorem" in text
+    assert f"the guard was asked for {policy} by predicted" in text
+    assert "the guard judges under refuse by theorem" in text
 
 
 def test_mode_auto_goes_on(rig: CommandServerRig) -> None:

@@ -28,7 +28,7 @@ from hapticd.zwidth.store import TrialEnd, TrialRecord
 TEXTS: dict[type[Any], tuple[str, ...]] = {
     StepReceipt: ("text",),
     GuardVerdict: ("text",),
-    Event: ("text",),
+    Event: ("text", "reason"),
     LeaseReleased: ("text",),
     Entry: ("text",),
     Grant: ("text",),

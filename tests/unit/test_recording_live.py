@@ -47,9 +47,9 @@ def test_columns_hold_the_bytes_of_the_records(recorded_run: RecordedFlight) -> 
 
 def test_event_of_a_lease_names_its_holder() -> None:
     """Also where the rest of its text is cut."""
-    event = {"what": "perturbation", "change": "taken over", "actor": 17, "name": "trial"}
-    row = event_row({"timestamp": 1.0, "kind": "lease", **event, "by": "x" * 64, "text": "x" * 99})
-    start = b"what=perturbation, change=taken over, actor=17, name=trial, by=x"
+    event = {"what": "perturbation", "actor": 17, "name": "trial", "by": "x" * 64, "text": "x" * 99}
+    row = event_row({"timestamp": 1.0, "kind": "lease", "code": "lease_taken_over", **event})
+    start = b"code=lease_taken_over, what=perturbation, actor=17, name=trial, by=x"
     assert row["text"].startswith(start)
 
 
