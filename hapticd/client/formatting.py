@@ -110,7 +110,7 @@ def timing_words(timing: Timing | None) -> str:
 
 
 def known_words(measured: bool) -> str:
-    """How a delay is known."""
+    """Return the origin of a delay."""
     return "measured" if measured else "assumed by the model"
 
 
@@ -142,7 +142,7 @@ _FAULT_OFF = {
 
 
 def faults_off(found: Mapping[str, str]) -> list[str]:
-    """Which faults that end a limit cycle are off, and why, a line each."""
+    """Return a line for each limit-cycle fault that is off, with the reason."""
     return [f"{name} {_FAULT_OFF.get(why, why)}" for name, why in found.items() if why != "on"]
 
 
@@ -201,7 +201,7 @@ _WHOLE = ("state", "servo_up", "servo_down", "gap", "flight")  # whose text need
 
 
 def event_words(event: Event) -> str:
-    """What happened, to whom and by whom, without its time."""
+    """Return an event as text: action, object and author, without its time."""
     if event.kind == "answer":
         return f"{event.cmd} of {event.name}: {event.text or event.result}"
     if event.kind == "mark":

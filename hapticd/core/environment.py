@@ -230,8 +230,8 @@ class Environment:
         return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
-        """The same with the fields of a request. ConfigError for a name that is no field, or a
-        number that is not finite.
+        """Return it with the fields of a request. ConfigError for an unknown field or a number that
+        is not finite.
         """
         given = dict(flat(change))
         if wrong := [key for key, value in given.items() if not isfinite(value)]:

@@ -49,7 +49,8 @@ class Sockets:
     """Both kinds of socket, bound, watched by `selector`.
 
     `endpoints` is {command, telemetry: [..], pid}; `warnings` are events with their fields;
-    `left` is told of clients of the commands, `gone` of subscribers, whose connections have ended.
+    `left` and `gone` are called with the identity of a command client or a subscriber whose
+    connection has ended.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class Sockets:
             taken = {"port": port, "address": tcp}
             self.warnings.append(("port_taken", taken))
             endpoints["elsewhere"] = sentence("port_taken", **taken)
-        # last: whoever finds this file may connect
+        # last: this file announces that clients can connect
         write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
@@ -108,7 +109,7 @@ class Sockets:
         )
 
     def tend(self, now_ns: int) -> Iterator[tuple[EventCode, dict[str, Any]]]:
-        """End what is due to; warnings of whom the relay refused."""
+        """End connections that are due to end; yield warnings about refused connections."""
         self.command.tend(now_ns)
         self.telemetry.tend(now_ns)
         if self.relay:

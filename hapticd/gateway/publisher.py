@@ -116,7 +116,7 @@ def usual_delays(records: Records) -> dict[str, int]:
 
 
 def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, LimitCycleFault]:
-    """Which faults that end a limit cycle are on; why one is off."""
+    """Return "on" for each fault that ends a limit cycle, or the reason why it is off."""
     device = view.params.device
     on = int(view.record.get("watches", 0))
     off: dict[Watched, LimitCycleFault] = dict.fromkeys(

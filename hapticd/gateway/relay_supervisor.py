@@ -58,8 +58,8 @@ class RelaySupervisor:
         return self._process
 
     def tend(self, now_ns: int) -> Events:
-        """Start the relay if it is due; warnings of whom it refused, of keys that it cannot read,
-        and of its end.
+        """Start the relay if due; yield warnings about refused clients, unreadable keys and the end
+        of the relay.
         """
         self._relay.tend(now_ns)
         for report in self._relay.answers():
@@ -72,7 +72,7 @@ class RelaySupervisor:
             yield from self._ended(f"the relay ended, exit code {code}")
 
     def _took(self, report: dict[str, Any]) -> Events:
-        """Warnings of what a relay that serves has said."""
+        """Yield the warnings in a report of a running relay."""
         self._trouble = ""
         known = self._seen["unreadable"]
         self._seen = {name: report[name] for name in self._seen}
@@ -84,7 +84,7 @@ class RelaySupervisor:
             yield "listener_refused", {"address": address, "reason": why, **often}
 
     def _ended(self, why: str) -> Events:
-        """That the relay has ended, once for each reason; it is started again."""
+        """Yield a warning that the relay has ended, once for each reason; it is restarted."""
         if why != self._trouble:
             self._trouble = why
             yield "relay_ended", {"reason": why}

@@ -18,10 +18,10 @@ The criterion consists of pure functions of a device model and of environments:
 
 A request passes through these modules:
 
-    status              the policy in force, and what the worker last said
-    request_queue       requests on their way past the guard
-    pending             one of them, and its stages as the worker names them
-    refusals            what is said where the worker has not judged
+    status              the policy in force, and the last results of the worker
+    request_queue       the queue of requests that wait for a verdict
+    pending             one such request, and its stages as received from the worker
+    refusals            refusals and verdicts without the judgement of the worker
     scheduled           changes that the servo holds for later ticks
     outstanding         posted commands that are not yet answered
     stages              the multi-stage change in progress

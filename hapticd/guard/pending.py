@@ -47,12 +47,12 @@ class PendingChange:
     place: int = 0  # of the next stage
     state: State | None = None  # at its start
     ramp_end_tick: int = 0
-    seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
-    since_ns: int = 0  # the last stage was posted, or something moved
-    # why no further stage shall come, while one is with the servo, and fields that tell it
+    seen: int = 0  # revision of the servo when the wait began, or when the last stage acted
+    since_ns: int = 0  # time at which the last stage was posted, or something moved
+    # why no further stage follows the one that the servo has, and the fields of that event
     taken_back: tuple[EventCode, dict[str, Any]] | None = None
-    former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
-    held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
+    former: dict[str, Any] = field(default_factory=dict)  # values restored by a bounded change
+    held: Answer | None = None  # of the servo, kept until the verdict arrives
 
     @property
     def cmd(self) -> str:
@@ -99,8 +99,8 @@ def ends_force(request: Request, target: Environment) -> bool:
 
 
 def former(request: Request, before: list[dict[str, Any]], target: Environment) -> dict[str, Any]:
-    """What a bounded change brings back at its end: `target`, with what is scheduled `before` it;
-    {} for one without an end.
+    """Return the values that a bounded change restores at its end: `target`, with the changes
+    scheduled `before` it; {} for one without an end.
     """
     if not request.end_tick:
         return {}

@@ -63,8 +63,8 @@ def answer_change(
 ) -> dict[str, Any]:
     """Return the answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `region` is how to judge it, or why nothing is known. ConfigError for a number that is not
-    finite.
+    `region` is the region to judge by, or the reason why nothing is known. ConfigError for a
+    number that is not finite.
     """
     planner = _asked(verdicts, request)
     if request["policy"] == "off":
@@ -218,7 +218,7 @@ class _Judged:
     # --- choice of the damping --------------------------------------------------------------------
 
     def _with_auto(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """`change` with the level of mode `auto`, whatever level it names."""
+        """Return `change` with the level of mode `auto`, which replaces any requested level."""
         level = self._least(self.target.changed(change))
         rest = {name: value for name, value in change.items() if name != "active_damping"}
         present = self.target.active_damping_ns_per_m

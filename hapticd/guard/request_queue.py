@@ -193,7 +193,7 @@ class GuardedQueue:
             self._scheduled.close(answer.seq, answer.result is Result.APPLIED)
 
     def give_up(self, actor: int) -> None:
-        """The client `actor` has failed: of what it asked nothing more is posted."""
+        """Refuse the remaining requests of the client `actor`, which has failed."""
         for change in self._waits_of(actor):
             self._end(change, "refused", sentence("client_failed"))
         self._under_way.take_back(lambda change: change.actor == actor, "client_failed")
@@ -310,7 +310,7 @@ class GuardedQueue:
         return self._policy(change) in STRICT_POLICIES
 
     def _asks(self, change: PendingChange) -> bool:
-        """Whether a worker is there to be asked, and the policy wants it."""
+        """Return whether the policy needs a verdict and a worker is available."""
         wanted = self._policy(change) != "off" or self._guard.chooses_level(change)
         return wanted and self._guard.worker in ("up", "starting")
 
@@ -510,7 +510,7 @@ class GuardedQueue:
         result = answer.result
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
-            # in force, whatever its verdict: mode auto must not choose again meanwhile
+            # in force under any verdict: mode auto must not choose again meanwhile
             self._guard.set_auto(self._guard.chooses_level(change))
             return None
         if result is Result.SCHEDULED:

@@ -32,7 +32,7 @@ class ScheduledChanges:
         self._changes.clear()
 
     def add(self, tick: int, seq: int, fields: Fields) -> None:
-        """Command `seq` changes `fields` at `tick`."""
+        """Note that command `seq` changes `fields` at `tick`."""
         self._changes[seq] = ScheduledChange(tick, seq, fields)
 
     def close(self, seq: int, applied: bool) -> None:
@@ -44,7 +44,9 @@ class ScheduledChanges:
             self._changes.pop(-seq, None)
 
     def ends(self, at_tick: int, until_tick: int) -> list[Fields]:
-        """What the ends of changes in force at `at_tick` bring back up to `until_tick`."""
+        """Return the values that ends of changes in force at `at_tick` restore up to
+        `until_tick`.
+        """
         waiting = {one.seq for one in self._changes.values() if one.tick > at_tick}
         return [
             one.fields
@@ -53,8 +55,8 @@ class ScheduledChanges:
         ]
 
     def around(self, at_tick: int, tick: int) -> tuple[list[Fields], list[Fields]]:
-        """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
-        forgotten.
+        """Return the changes due up to `at_tick`, and those after it. Changes due at the present
+        `tick` or earlier are forgotten.
         """
         self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
         booked = self._in_order()

@@ -135,7 +135,7 @@ class StagedChange:
     def take_back(
         self, concerned: Callable[[PendingChange], bool], why: EventCode, **fields: Any
     ) -> None:
-        """Post no further stage of a change that is `concerned`, because of `why`."""
+        """Post no further stage of a `concerned` change, because of `why`."""
         change = self.change
         if change is not None and concerned(change):
             self.cancel(why, **fields)
@@ -161,7 +161,7 @@ class StagedChange:
         self.cancel("superseded", "superseded", by_cmd=by.cmd, by_actor=by.actor)
 
     def cancel(self, why: EventCode, result: str = "cancelled", **fields: Any) -> None:
-        """What is left is not done, because of `why`."""
+        """Drop the remaining stages, because of `why`."""
         change = self.change
         self.change = None
         if change is not None:
@@ -200,7 +200,7 @@ class StagedChange:
         )
 
     def _standing(self, result: str) -> dict[str, Any]:
-        """A receipt of what is in force, for what has no answer of the servo of its own."""
+        """Return a receipt of the values in force, for a change without an answer of the servo."""
         tick = self._view.tick
         return {
             "result": result,

@@ -179,7 +179,7 @@ class Guard:
         self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
     def chooses_level(self, change: PendingChange) -> bool:
-        """Whether the level of damping is the guard's to choose once `change` is in force."""
+        """Return whether the guard chooses the level of damping once `change` is in force."""
         asked = change.request.auto
         return self.mode == "auto" if asked is None else asked
 
@@ -325,8 +325,8 @@ class Guard:
     def ask(
         self, change: PendingChange, before: list[Fields], after: list[Fields], now_ns: int
     ) -> int:
-        """Ask for a verdict on `change`, with what is scheduled `before` and `after` it; the number
-        under which `answer` will have it.
+        """Ask for a verdict on `change`, with the changes scheduled `before` and `after` it; return
+        the number for `answer`.
         """
         question = {
             "ask": "change",

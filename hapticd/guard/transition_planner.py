@@ -80,7 +80,7 @@ class TransitionPlanner:
 
     @cached_property
     def wanted(self) -> Environment:
-        """Where the change leads."""
+        """The end of the change."""
         return self.target.changed(self.change)
 
     def plans(self) -> list[Plan]:
@@ -320,8 +320,8 @@ def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -
 
 
 def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
-    """The environment in the fields of a message, its filters made discrete as those of `rendered`;
-    what the message leaves out is 0. ConfigError for a number that is not finite.
+    """Return the environment in the fields of a message; omitted fields are 0. Its filters have the
+    discretisation of `rendered`. ConfigError for a number that is not finite.
     """
     velocity, acceleration = rendered.filters
     nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)

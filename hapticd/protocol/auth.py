@@ -38,9 +38,9 @@ def without_leave(params: GatewayParams) -> bool:
 
 
 def in_the_clear(params: GatewayParams) -> bool:
-    """Whether telemetry leaves the machine without keys or encryption.
+    """Return whether telemetry leaves the machine without keys or encryption.
 
-    ConfigError if that would be without leave.
+    ConfigError if that is not permitted.
     """
     if without_leave(params):
         raise ConfigError(f"gateway.tcp_host = {params.tcp_host!r}: {LEAVE_NEEDED}")

@@ -140,7 +140,7 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
 @lru_cache(8)  # the gateway asks several times a look, and the answer seldom changes
 def rendered(effective: tuple[float, ...]) -> Environment:
-    """What is rendered by the doubles of an answer: its level acts only while it is on."""
+    """Return the environment in the doubles of an answer; its damping is 0 unless switched on."""
     found = Environment().with_slots(dict(enumerate(effective)))
     level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
     return replace(found, active_damping_ns_per_m=level)

@@ -322,7 +322,7 @@ class FlightRecorder:
         }
 
     def _write(self, path: Path, header: dict[str, Any], blocks: list[bytes], reason: str) -> None:
-        """In a thread: nothing here is shared but the queue of results."""
+        """Write the file, in a thread: only the queue of results is shared."""
         event: tuple[EventCode, dict[str, Any]] = "flight", {"reason": reason, "path": str(path)}
         try:
             write_flight(path, header, blocks)

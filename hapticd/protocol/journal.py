@@ -1,8 +1,8 @@
 """The journal: events, and the actors behind them.
 
 Events are maps, one per event: kept for `status`, and queued for the topic `event`. Each has a
-`kind`, a `code` and the fields of `answers.Event` that belong to it. Programs read these. The
-`text` is for people, of clients in any language and of any version. It is made here alone, from the
+`kind`, a `code` and the fields of `answers.Event` that belong to it. Programs use these. The `text`
+is for people, whatever the language and version of the client. Only this module makes it, from the
 code and the fields.
 
 An actor is a small number for each client, which every tick record contains, and the name that the
@@ -51,7 +51,7 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
         " or halved K, B, M and those of the wall; ask for smaller values before you set them"
         " again",
     ),
-    # what became of a change that was scheduled or goes in stages
+    # the result of a change that was scheduled or is applied in stages
     "answered": ("answer", ""),
     "refused": ("answer", "{reason}"),
     "superseded": ("answer", "a newer {by_cmd} of actor {by_actor} came" + STAYS),
