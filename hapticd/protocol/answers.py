@@ -47,8 +47,8 @@ __all__ = [
 ]
 
 A = TypeVar("A")
-# state of a fault that ends a limit cycle: on, or off because the device file has no value, during a
-# measuring lease, or by request or configuration
+# state of a fault that ends a limit cycle: on, or off because the device file has no value, during
+# a measuring lease, or by request or configuration
 LimitCycleFault = Literal["on", "no_overspeed", "no_physical_damping", "measuring", "off"]
 
 

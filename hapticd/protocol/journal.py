@@ -41,15 +41,14 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "state": ("state", "{before} -> {state}", " (by {name})"),
     "fault": ("state", "{before} -> {state}", " (by {name})", ": {fault}: {cause}; {remedy}"),
     "servo_up": ("servo_up", "the servo runs"),
-    "servo_down": ("servo_down", "the servo has ended, or does not answer any more"),
+    "servo_down": ("servo_down", "the servo has ended, or no longer answers"),
     "gap": ("gap", "{lost} ticks were overwritten before telemetry had read them"),
     "flight": ("flight", "flight recording of {reason}: {path}"),
     "mark": ("mark", "{text}"),
     "controlled": (
         "controlled",
-        "the display gave out energy that nothing accounts for: the servo raised the active damping"
-        " or halved K, B, M and those of the wall; ask for smaller values before you set them"
-        " again",
+        "the display gave out unexplained energy: the servo raised the active damping"
+        " or halved K, B, M and those of the wall; set smaller values next",
     ),
     # the result of a change that was scheduled or is applied in stages
     "answered": ("answer", ""),
@@ -58,7 +57,7 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "asked_meanwhile": ("answer", "{by_cmd} was asked meanwhile" + STAYS),
     "changed_before": ("answer", "something else was changed before it" + STAYS),
     "state_left": ("answer", "the servo is {state}" + STAYS),
-    "stood_still": ("answer", "the gateway stood still meanwhile" + STAYS),
+    "stood_still": ("answer", "the gateway was suspended meanwhile" + STAYS),
     "damping_late": (
         "answer",
         "the next stage waited too long: the board reports {reported_ns_per_m:.3g} of"
@@ -97,7 +96,7 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "terms_not_kept": ("warning", "the terms of the guard could not be kept: {reason}"),
     "terms_after_restart": (
         "warning",
-        "the gateway has started anew; the guard was asked for {asked[policy]} by {asked[basis]},"
+        "the gateway has restarted; the guard was asked for {asked[policy]} by {asked[basis]},"
         " margin {asked[margin_ns_per_m]:g} N s/m; the configuration is {configured[policy]} by"
         " {configured[basis]}, margin {configured[margin_ns_per_m]:g} N s/m; from now on the guard"
         " judges under {terms[policy]} by {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m",
@@ -107,7 +106,7 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "flight_not_written": (
         "warning",
         "{path}: the flight recording could not be written: {reason}; free some space or correct"
-        " its rights",
+        " its permissions",
     ),
     "telemetry_open": (
         "warning",
@@ -121,9 +120,9 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
         " to {address}",
         ": {reason}",
         ", {times} times",
-        "; who may listen is made known by `hapticd keys client`",
+        "; add a client with `hapticd keys client`",
     ),
-    "key_unreadable": ("warning", "{path} lets nobody listen: {reason}"),
+    "key_unreadable": ("warning", "{path} cannot be used: {reason}"),
     "relay_ended": ("warning", "no telemetry for other computers: {reason}"),
 }
 

@@ -163,7 +163,7 @@ def test_full_disk_is_a_warning(folder: Path) -> None:
         event = flown.journal.recent[-1]
     assert event["kind"] == "warning"
     assert "could not be written" in event["text"]
-    assert "free some space or correct its rights" in event["text"]
+    assert "free some space or correct its permissions" in event["text"]
 
 
 def test_nothing_to_dump_is_refused() -> None:

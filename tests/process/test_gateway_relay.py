@@ -47,7 +47,7 @@ def test_who_has_a_key_listens_and_who_has_none_gets_nothing(rig: RelayRig) -> N
 @pytest.mark.parametrize(
     ("kind", "why"),
     [
-        ("stranger", "is not known; who may listen is made known by `hapticd keys client`"),
+        ("stranger", "is not known; add a client with `hapticd keys client`"),
         ("plain", NO_KEY),
         ("misled", "it has another server's key"),
         ("silent", ENDED),
@@ -184,7 +184,7 @@ def test_key_that_cannot_be_read_is_told_and_lets_nobody_in(rig: RelayRig, broke
     assert list(told) == ["second.key"]
     assert str(path) in told["second.key"]
     (event,) = rig.until(lambda: [one for one in rig.warnings() if "second.key" in one["text"]])
-    assert event["text"].startswith("second.key lets nobody listen: ")
+    assert event["text"].startswith("second.key cannot be used: ")
     rig.receive(rig.listener("friend"))
 
 

@@ -85,14 +85,13 @@ def noted(code: EventCode, **fields: Any) -> Event:
         (
             "listener_refused",
             {"address": "10.0.0.7", "reason": "it has no key", "times": 3},
-            "warning: telemetry refused to 10.0.0.7: it has no key, 3 times; who may listen is made"
-            " known by `hapticd keys client`",
+            "warning: telemetry refused to 10.0.0.7: it has no key, 3 times; add a client with"
+            " `hapticd keys client`",
         ),
         (
             "listener_refused",
             {"address": "", "reason": "it has no key"},
-            "warning: telemetry refused: it has no key; who may listen is made known by `hapticd"
-            " keys client`",
+            "warning: telemetry refused: it has no key; add a client with `hapticd keys client`",
         ),
         (
             "mark",
