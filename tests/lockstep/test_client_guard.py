@@ -64,9 +64,6 @@ def test_mode_that_leaves_too_little_damping_warns_by_asyncio_as_well(
         asyncio.run(ask())
 
 
-# --- verdicts -------------------------------------------------------------------------------------
-
-
 # --- strict clients -------------------------------------------------------------------------------
 
 

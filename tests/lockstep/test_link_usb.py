@@ -589,6 +589,3 @@ def test_board_that_is_plugged_in_late_and_again_is_found_without_messages_of_ud
         link.open()
         link.write(array("B", bytes(out_packet(0))))
         bus.unplug()
-
-
-# --- memory ---------------------------------------------------------------------------------------

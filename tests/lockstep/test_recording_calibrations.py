@@ -131,9 +131,6 @@ def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
         assert bench.status().state == "disabled"
 
 
-# --- a recording ----------------------------------------------------------------------------------
-
-
 # --- the certificate of the rig -------------------------------------------------------------------
 
 
