@@ -24,7 +24,7 @@ from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
 from hapticd.guard.outstanding import Outstanding, Pending
-from hapticd.guard.pending import PendingChange
+from hapticd.guard.pending import PendingChange, ends_force
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
@@ -60,11 +60,12 @@ from hapticd.protocol.view import ServoView
 
 __all__ = ["CommandServer"]
 
+# what is withdrawn from the ring, and what ends the force that it brings once it was taken
 TAKEN_BACK = {
-    "enable": Command.DISABLE,
-    "home": Command.DISABLE,
-    "perturb": Command.PERTURB_STOP,
-}  # what brings force
+    Command.ENABLE: Command.DISABLE,
+    Command.HOME: Command.DISABLE,
+    Command.PERTURB_START: Command.PERTURB_STOP,
+} | dict.fromkeys((Command.SET, Command.DAMPING, Command.RESET, Command.ZERO, Command.WITHHOLD))
 # what must not be followed by an enable that was asked before it
 OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
 # asked by a client that has left since
@@ -199,10 +200,8 @@ class CommandServer:
         actor = self.actors.leave(client)
         self._leasing.leave(actor)
         self._guarded.leave(actor)
+        self._take_back(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
-        if self._view.state is State.DISABLED:  # a suspended servo would take it when it continues
-            for message in self._outstanding.asked_by(actor):
-                self._taken_back(message)
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:
@@ -250,6 +249,7 @@ class CommandServer:
         if isinstance(request, LeaseRequest):
             if request.action == "fail":
                 self._guarded.give_up(actor)
+                self._take_back(actor)
             return self._leasing.answer(request, actor)
         if isinstance(request, GuardRequest):
             self._guard.change(request)
@@ -370,7 +370,7 @@ class CommandServer:
             self.counts["timeouts"] += 1
             outlook = (
                 "it is taken back"
-                if self._taken_back(message)
+                if self._taken_back(pending)
                 else "whether it acts is open, ask with `get` or `status`"
             )
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
@@ -383,14 +383,24 @@ class CommandServer:
             return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
-    def _taken_back(self, message: RequestMessage) -> bool:
-        """Whether a force that comes when nobody expects it ends in the tick in which it begins."""
-        kind = TAKEN_BACK.get(message.cmd)
-        mailbox = self._view.mailbox
+    def _take_back(self, actor: int) -> None:
+        """Of what the client `actor` has posted nothing begins any more."""
+        for one in self._outstanding.asked_by(actor):
+            self._taken_back(one, self._view.state in (State.ENABLED, State.HOMING))
+
+    def _taken_back(self, one: Pending, forced: bool = False) -> bool:
+        """Whether `one`, which is not answered, does not begin, or what it brings ends at once;
+        `forced`: there is force that must stay.
+        """
+        ends = one.change and ends_force(one.change.request, self._guard.in_force.target())
+        if one.kind in TAKEN_BACK and not ends and one.mailbox.withdraw(one.seq):
+            return True
+        # a servo that was suspended in the middle of a tick has taken it
+        undo = TAKEN_BACK.get(one.kind)
         return (
-            kind is not None
-            and mailbox is not None
-            and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
+            undo is not None
+            and not (forced and undo is Command.DISABLE)
+            and one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None
         )
 
     def _accepted(self, message: RequestMessage, body: dict[str, Any]) -> Reply:

@@ -178,7 +178,8 @@ class GuardedQueue:
         for change in self._waits_of(actor):
             self._drop(change)
         self._under_way.take_back(
-            lambda change: change.enables and change.actor == actor, "its connection is gone"
+            lambda change: change.actor == actor and (change.enables or not change.replied),
+            "its connection is gone",
         )
 
     def heard(self, answer: Answer) -> None:

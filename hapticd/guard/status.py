@@ -25,7 +25,7 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
 from hapticd.guard.terms import Terms, TermsKeeper
-from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
+from hapticd.mailbox.layout import ANY_TERMS
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.leases import Leases
@@ -90,7 +90,6 @@ class Guard:
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.terms_changes = 0  # of policy, basis or margin
         self._tended_ns = 0
-        self._terms_base = ANY_TERMS  # number of the first terms; no other gateway has it
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
         self._looked_delay: float | None = None
@@ -142,12 +141,11 @@ class Guard:
 
     @property
     def terms_number(self) -> int:
-        """Number of the terms that count, ANY_TERMS where no policy has to be obeyed. It is the
-        gateway's own: another one counts from its own start.
+        """Number of the terms that count, ANY_TERMS where no policy has to be obeyed. No other
+        terms had it in this servo life, by whichever gateway.
         """
-        if not (self.must and self._terms_base):
-            return ANY_TERMS
-        return self._terms_base + self.terms_changes & REVISION_MASK
+        mailbox = self._view.mailbox if self.must else None
+        return mailbox.number << 32 | self.terms_changes if mailbox else ANY_TERMS
 
     @property
     def worker(self) -> str:
@@ -301,7 +299,6 @@ class Guard:
 
     def tend(self, now_ns: int) -> None:
         """Hear the worker, keep it alive, ask what nobody waits for."""
-        self._terms_base = self._terms_base or now_ns // NS_PER_MS
         self._tended_ns = now_ns
         self.terms = self._keeper.follow(self.terms, now_ns)
         if self._worker is None:

@@ -57,6 +57,11 @@ MOST_SCHEDULED = 16
 UNBOUNDED = frozenset({Value.ENVIRONMENT_REVISION, Value.TERMS, Value.UNTIL_TICK})
 STRENGTHS = frozenset({*STRENGTH_VALUES, Value.WALL_SIDE})
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
+# what nobody stands for any more
+DISOWNED: dict[int, Result] = {
+    safety.ORPHANED_EVENT: Result.REFUSED_NO_GATEWAY,
+    Command.WITHDRAWN: Result.CANCELLED,
+}
 # whose mask is looked at
 MASKED = SETTINGS | {
     Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS
@@ -187,8 +192,8 @@ def obey(
 ) -> tuple[Plan, list[Answer]]:
     """`plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
-    if kind == safety.ORPHANED_EVENT:
-        return plan, [answer(plan, seq, Result.REFUSED_NO_GATEWAY, (now.tick, now.tick), params)]
+    if kind in DISOWNED:
+        return plan, [answer(plan, seq, DISOWNED[kind], (now.tick, now.tick), params)]
     if kind in MASKED and not names_places(values):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, (now.tick, now.tick), params)]
     if kind in SETTINGS:

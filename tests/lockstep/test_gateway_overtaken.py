@@ -126,17 +126,94 @@ def test_an_enable_that_was_taken_back_is_not_asked_again(flight: Flight, end: s
     assert flight.view.state is State.DISABLED
 
 
-@pytest.mark.parametrize("policy", ["off", "warn"])
+# --- clients that leave, or fail: the servo stands from the posting until they are gone -----------
+
+
+@pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
 def test_an_enable_that_the_servo_has_not_taken_ends_with_its_connection(
     flight: Flight, policy: str
 ) -> None:
-    """The servo stands from the posting until the client is gone."""
     assert flight.ask(cmd="guard", policy=policy)["ok"]
     send(flight, {"cmd": "enable"})
     until_posted(flight)
     flight.server.leave(b"a")
-    assert not flight.fly(50)["gain"][2:].any()
+    assert not flight.fly(50)["state"].any()
+
+
+@pytest.mark.parametrize("ahead", ["disable", "reset"])
+def test_an_enable_behind_a_command_of_another_ends_with_its_connection(
+    flight: Flight, ahead: str
+) -> None:
+    enabled(flight, "off")
+    if ahead == "reset":
+        send(flight, {"cmd": "stop"}, client=b"b")
+        flight.fly(50)
+    send(flight, {"cmd": ahead}, client=b"b")
+    send(flight, {"cmd": "enable"})
+    flight.server.leave(b"a")
+    flight.fly(50)
     assert flight.view.state is State.DISABLED
+
+
+@pytest.mark.parametrize("end", ["leave", "fail"])
+def test_a_perturbation_that_the_servo_has_not_taken_ends_with_its_client(
+    flight: Flight, end: str
+) -> None:
+    enabled(flight, "warn")
+    assert flight.ask(cmd="perturb", action="load", samples_n=[0.1] * 200)["ok"]
+    if end == "fail":
+        assert flight.ask(cmd="lease", what="perturbation")["ok"]
+        flight.fly(5)
+    # so that the servo would take a stop that followed it a tick later
+    send(flight, {"cmd": "perturb", "action": "stop"}, client=b"b")
+    send(flight, {"cmd": "perturb", "action": "start", "loop": True})
+    if end == "leave":
+        flight.server.leave(b"a")
+    else:
+        send(flight, {"cmd": "lease", "what": "perturbation", "action": "fail"})
+    assert not flight.fly(50)["perturbing"].any()
+
+
+@pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
+def test_a_change_that_the_servo_has_not_taken_ends_with_its_connection_unless_it_ends_force(
+    flight: Flight, policy: str
+) -> None:
+    enabled(flight, policy)
+    assert flight.ask(cmd="set", K=20.0)["ok"]
+    for stiffness, left in ((30.0, 20.0), (0.0, 0.0)):
+        send(flight, {"cmd": "set", "K": stiffness}, client=b"b")
+        until_posted(flight)
+        flight.server.leave(b"b")
+        assert flight.fly(100)["stiffness_n_per_m"][-1] == left
+
+
+@pytest.mark.parametrize("end", ["nothing", "leave"])
+def test_a_change_that_the_servo_has_refused_is_not_judged_again_once_its_client_left(
+    flight: Flight, end: str
+) -> None:
+    """The servo refuses it, since a scheduled change came into force before it was taken."""
+    enabled(flight, "refuse")
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", M=0.001, ramp_s=0.0, at_tick=at)["ok"]
+    send(flight, {"cmd": "set", "K": 20.0}, client=b"b")
+    until_posted(flight)
+    take = flight.stack.mailbox.take
+    flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
+    flight.stack.run(at - flight.view.tick + 2)
+    flight.stack.mailbox.take = take  # type: ignore[method-assign]
+    flight.stack.run(2)
+    if end == "leave":
+        flight.server.leave(b"b")
+    assert flight.fly(200)["stiffness_n_per_m"].any() == (end == "nothing")
+
+
+def test_an_enable_of_a_holder_that_has_failed_does_not_come(flight: Flight) -> None:
+    assert flight.ask(cmd="lease", what="environment", at_end="hold")["ok"]
+    flight.fly(5)
+    send(flight, {"cmd": "enable"})
+    until_posted(flight)
+    send(flight, {"cmd": "lease", "what": "environment", "action": "fail"})
+    assert not flight.fly(50)["state"].any()
 
 
 @pytest.mark.parametrize("policy", ["warn", "refuse"])
@@ -192,6 +269,21 @@ def test_an_end_that_others_judged_brings_no_strength_back(flight: Flight, terms
     records = flight.fly(at + 1300 - flight.view.tick)
     assert not stiff_without_damping(records)
     assert records["stiffness_n_per_m"][-1] == 0.0
+
+
+def test_terms_of_a_new_gateway_are_never_those_of_a_former_one(flight: Flight) -> None:
+    """The former one has had more terms than milliseconds."""
+    former = set()
+    for _ in range(500):
+        for policy in ("clamp", "refuse"):
+            assert flight.ask(cmd="guard", policy=policy)["ok"]
+            former.add(flight.guard.terms_number)
+    assert len(former) == 1000
+    flight.another_gateway()
+    for policy in ("clamp", "refuse") * 50:
+        flight.fly(1)
+        assert flight.ask(cmd="guard", policy=policy)["ok"]
+        assert flight.guard.terms_number not in former
 
 
 def test_an_end_brings_nothing_back_once_its_clients_lease_ended_at_zero(flight: Flight) -> None:
