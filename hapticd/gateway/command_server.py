@@ -187,6 +187,8 @@ class CommandServer:
         self._leasing.tend(now_ns)
         replies += self._due(now_ns)
         self._guard.tend(now_ns)
+        for one in self._outstanding.of_other_terms(self._guard.terms_number):
+            self._withdrawn(one)
         answered = self._guarded.advance(now_ns, not len(self._outstanding))
         replies += [self._tell(one) for one in answered]
         return [one for one in replies if one is not None]
@@ -388,16 +390,18 @@ class CommandServer:
         for one in self._outstanding.asked_by(actor):
             self._taken_back(one, self._view.state in (State.ENABLED, State.HOMING))
 
+    def _withdrawn(self, one: Pending) -> bool:
+        """Whether `one` is withdrawn from the ring: not what ends force."""
+        ends = one.change and ends_force(one.change.request, self._guard.in_force.target())
+        return one.kind in TAKEN_BACK and not ends and one.mailbox.withdraw(one.seq)
+
     def _taken_back(self, one: Pending, forced: bool = False) -> bool:
         """Whether `one`, which is not answered, does not begin, or what it brings ends at once;
         `forced`: there is force that must stay.
         """
-        ends = one.change and ends_force(one.change.request, self._guard.in_force.target())
-        if one.kind in TAKEN_BACK and not ends and one.mailbox.withdraw(one.seq):
-            return True
-        # a servo that was suspended in the middle of a tick has taken it
         undo = TAKEN_BACK.get(one.kind)
-        return (
+        return self._withdrawn(one) or (
+            # a servo that was suspended in the middle of a tick has taken it
             undo is not None
             and not (forced and undo is Command.DISABLE)
             and one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None

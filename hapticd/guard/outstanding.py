@@ -10,7 +10,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.pending import PendingChange
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.layout import Command, Result
+from hapticd.mailbox.layout import ANY_TERMS, Command, Result
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting
 from hapticd.protocol.view import ServoView
@@ -62,6 +62,18 @@ class Outstanding:
             if one.actor == actor
             and one.answer is None
             and (one.change is None or one.change.enables or not one.change.replied)
+        ]
+
+    def of_other_terms(self, number: int) -> list[Pending]:
+        """Changes that the servo has not answered yet, judged by other terms than `number`, or by
+        none; nothing where no policy has to be obeyed.
+        """
+        return [
+            one
+            for one in self._pending.values()
+            if one.answer is None
+            and one.change is not None
+            and number not in (one.change.terms, ANY_TERMS)
         ]
 
     def post(

@@ -183,7 +183,7 @@ class Command(IntEnum):
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
     # changes are judged by these terms from now on; what was scheduled by others is cancelled
     TERMS = 14
-    WITHDRAWN = 15  # in place of one whose client left before the servo took it
+    WITHDRAWN = 15  # in place of one that the gateway withdrew before the servo took it
 
 
 class Value(IntEnum):
@@ -311,7 +311,7 @@ class Result(IntEnum):
     REFUSED_RANGE = 8
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
-    CANCELLED = 11  # a stop, a fault or the end of its client removed it
+    CANCELLED = 11  # a stop, a fault, other terms or the end of its client removed it
     REFUSED_OWNER = 12  # reset within 1 s of somebody else's stop
     REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
     REFUSED_FILTER = 14  # force comes through the filters

@@ -271,6 +271,29 @@ def test_an_end_that_others_judged_brings_no_strength_back(flight: Flight, terms
     assert records["stiffness_n_per_m"][-1] == 0.0
 
 
+@pytest.mark.parametrize("before", ["off", "warn", "measuring"])
+@pytest.mark.parametrize("asked", [{"cmd": "set", **STIFF}, {"cmd": "enable"}])
+def test_what_the_servo_has_not_taken_ends_with_the_terms_it_was_posted_under(
+    flight: Flight, before: str, asked: dict[str, Any]
+) -> None:
+    if asked["cmd"] == "set":
+        enabled(flight, "warn")
+    assert flight.ask(cmd="guard", policy="refuse" if before == "measuring" else before)["ok"]
+    if before == "measuring":
+        assert flight.ask(cmd="lease", what="measuring")["ok"]
+        flight.fly(5)
+    send(flight, asked)
+    until_posted(flight)
+    if before == "measuring":
+        send(flight, {"cmd": "lease", "what": "measuring", "action": "release"})
+    else:
+        send(flight, {"cmd": "guard", "policy": "refuse"}, client=b"b")
+    flight.server.collect(flight.stack.clock.now_ns())
+    flight.fly(100)
+    assert flight.view.state is (State.ENABLED if asked["cmd"] == "set" else State.DISABLED)
+    assert flight.guard.in_force.target().empty
+
+
 def test_terms_of_a_new_gateway_are_never_those_of_a_former_one(flight: Flight) -> None:
     """The former one has had more terms than milliseconds."""
     former = set()
