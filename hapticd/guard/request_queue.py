@@ -499,7 +499,8 @@ class GuardedQueue:
             self._under_way.supersede(change)
         self._post(change, now_ns)
         if change.at_tick:
-            self._terms_sent = (0, ANY_TERMS)  # no terms came with it: those that count go after it
+            # no terms came with it, and those it was posted under must not be taken for its own
+            self._guard.terms_changes += 1
 
     # --- answers ----------------------------------------------------------------------------------
 
@@ -516,11 +517,11 @@ class GuardedQueue:
             # in force, whatever its verdict: mode auto must not choose again meanwhile
             self._guard.set_auto(self._auto(change))
             return None
+        if change.former and result in (Result.SCHEDULED, Result.APPLIED):
+            self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
         if result is Result.SCHEDULED:
             fields = change.request.change(self._guard.in_force.level)
             self._scheduled.add(change.at_tick, answer.seq, fields)
-            if change.former:
-                self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
             return ChangeReply(change, receipt=receipt(answer))
         if result is Result.APPLIED:
             return self._applied(change, answer, now_ns)

@@ -357,6 +357,43 @@ def test_the_ends_of_changes_that_overlap_are_judged_as_they_come(flight: Flight
     assert not stiff_without_damping(flight.fly(1500))
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_the_end_of_a_change_that_begins_as_it_is_taken_is_judged_too(
+    flight: Flight, late: bool
+) -> None:
+    """Its tick is that in which the servo takes it, so that it is never scheduled."""
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    send(flight, {"cmd": "set", **NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 900})
+    until_posted(flight)
+    if late:
+        take = flight.stack.mailbox.take
+        flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
+        flight.stack.run(at - flight.view.tick - 1)
+        flight.stack.mailbox.take = take  # type: ignore[method-assign]
+    flight.fly(200)
+    assert flight.replies[0]["receipt"]["result"] == ("applied" if late else "scheduled")
+    assert flight.guard.in_force.target().empty
+    assert "error" in flight.ask(cmd="damping", value="off")
+    assert not stiff_without_damping(flight.fly(1500))
+
+
+def test_an_end_that_nobody_judged_brings_no_strength_back_later(flight: Flight) -> None:
+    """It would weaken what is rendered when the policy is strict again, but not at its tick."""
+    rendering(flight, "refuse")
+    assert flight.ask(cmd="lease", what="measuring")["ok"]
+    at = flight.view.tick + 50
+    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1500}
+    assert flight.ask(cmd="set", **asked)["receipt"]["result"] == "scheduled"
+    flight.fly(100)
+    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
+    flight.fly(5)
+    assert flight.ask(cmd="set", **NOTHING)["ok"]
+    flight.fly(100)
+    assert flight.ask(cmd="damping", value="off")["ok"]
+    assert not stiff_without_damping(flight.fly(2000))
+
+
 def test_an_end_of_another_sign_brings_nothing_back(flight: Flight) -> None:
     enabled(flight, "warn")
     assert flight.ask(cmd="set", K=-20.0)["ok"]
