@@ -426,10 +426,14 @@ class GuardedQueue:
             self._want_hand(change)
         if leased := forbidden_by(self._leases, change):
             self._replies.append(ChangeReply(change, leased))
+        elif action == "refuse" and ends_force(change.request, self._guard.in_force.target()):
+            self._try_unjudged(change, now_ns, "it ends force, which is never refused")
         elif action == "refuse":
-            text = f"{change.cmd}: {verdict.get('text', 'the guard gave no reason')}"
+            why = verdict.get("text", "the guard gave no reason")
             self._replies.append(
-                ChangeReply(change, CommandError("guard", text, guard=change.verdict))
+                ChangeReply(
+                    change, CommandError("guard", f"{change.cmd}: {why}", guard=change.verdict)
+                )
             )
         else:
             self._start(change, now_ns)
@@ -498,9 +502,8 @@ class GuardedQueue:
         if not change.at_tick and not change.enables:
             self._under_way.supersede(change)
         self._post(change, now_ns)
-        if change.at_tick:
-            # no terms came with it, and those it was posted under must not be taken for its own
-            self._guard.terms_changes += 1
+        # no terms came with it: those until now have judged what is scheduled without it
+        self._guard.terms_changes += 1
 
     # --- answers ----------------------------------------------------------------------------------
 

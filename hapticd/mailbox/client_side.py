@@ -212,9 +212,12 @@ class GatewayMailbox:
         self, seq: int, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]
     ) -> None:
         offset = layout.COMMAND_OFFSET + (seq - 1) % layout.RING_SLOTS * layout.COMMAND.size
-        content = seq, kind, actor, apply_tick, *values
-        crc = zlib.crc32(layout.COMMAND.pack(*content, 0, 0)[: layout.COMMAND_CRC_OFFSET])
-        layout.COMMAND.pack_into(self._map, offset, *content, crc, 0)
+        crc = zlib.crc32(
+            layout.COMMAND.pack(seq, kind, actor, apply_tick, *values, 0, 0)[
+                : layout.COMMAND_CRC_OFFSET
+            ]
+        )
+        layout.COMMAND.pack_into(self._map, offset, seq, kind, actor, apply_tick, *values, crc, 0)
 
     def answers(self) -> list[Answer]:
         """All answers since the last call, in order."""

@@ -409,21 +409,26 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 def _terms(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """The terms that count from now on. What is scheduled was judged by them, is the end of what is
-    bounded, or is cancelled.
+    """The terms that count from now on. What is scheduled was judged by them, or is cancelled; the
+    end of what is bounded comes at once, so that what is judged from now on has seen it.
     """
     seq, _, _, _, values = request
     here = (now.tick, now.tick)
     if out_of_range(values, params) or Value.TERMS not in masked_places(values):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
     number = int(values[Value.TERMS])
-    gone = [
+    others = [
         one
         for one in plan.scheduled
-        if not _stays(one, plan)
-        and (Value.TERMS not in masked_places(one.values) or one.values[Value.TERMS] != number)
+        if (one.terms if _ends(one) else one.values[Value.TERMS]) != number
     ]
+    gone = [one for one in others if not _stays(one, plan)]
     after, answers = _without(plan._replace(terms=number), gone, params)
+    after = after._replace(
+        scheduled=_in_order(
+            one._replace(tick=now.tick) if one in others else one for one in after.scheduled
+        )
+    )
     return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
 
 
@@ -441,11 +446,7 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """The settings of `one` come into force at its tick. An end that others judged and that would
-    raise a strength is cancelled.
-    """
-    if _ends(one) and one.terms != plan.terms and not _stays(one, plan):
-        return plan, [answer(plan, one.seq, Result.CANCELLED, (one.tick, one.tick), params)]
+    """The settings of `one` come into force at its tick."""
     if refused := judged_otherwise(plan, one.values):
         return plan, [answer(plan, one.seq, refused, (one.tick, one.tick), params)]
     try:

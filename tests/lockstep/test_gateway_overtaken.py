@@ -394,6 +394,39 @@ def test_an_end_that_nobody_judged_brings_no_strength_back_later(flight: Flight)
     assert not stiff_without_damping(flight.fly(2000))
 
 
+def test_an_end_that_a_new_gateway_does_not_know_takes_no_damping_away_later(
+    flight: Flight,
+) -> None:
+    enabled(flight, "refuse")
+    at = flight.view.tick + 20
+    bounded = {"active_damping": LEVEL_NS_PER_M, "at_tick": at, "until_tick": at + 2000}
+    assert flight.ask(cmd="set", **bounded)["ok"]
+    flight.fly(100)
+    flight.another_gateway()
+    flight.fly(700)
+    flight.ask(cmd="set", **STIFF)
+    assert not stiff_without_damping(flight.fly(2500))
+
+
+def test_force_0_is_not_refused_for_what_an_end_brings_back_and_the_end_does_not_come(
+    flight: Flight,
+) -> None:
+    """The end was judged before its damping went, under a lease of measuring."""
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1000}
+    assert flight.ask(cmd="set", **asked)["ok"]
+    flight.fly(100)
+    assert flight.ask(cmd="lease", what="measuring")["ok"]
+    assert flight.ask(cmd="set", K=STIFF["K"] + 20.0, ramp_s=0.0)["ok"]
+    assert flight.ask(cmd="damping", value="off")["ok"]
+    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
+    flight.fly(5)
+    assert flight.ask(cmd="set", **NOTHING)["ok"]
+    flight.fly(100)
+    assert not stiff_without_damping(flight.fly(1000))
+
+
 def test_an_end_of_another_sign_brings_nothing_back(flight: Flight) -> None:
     enabled(flight, "warn")
     assert flight.ask(cmd="set", K=-20.0)["ok"]
@@ -405,8 +438,8 @@ def test_an_end_of_another_sign_brings_nothing_back(flight: Flight) -> None:
     assert flight.fly(600)["stiffness_n_per_m"][-1] == 30.0
 
 
-def test_an_end_is_looked_at_again_at_its_tick(flight: Flight) -> None:
-    """It brought nothing back when the gateway was replaced, but would by then."""
+def test_an_end_of_a_former_gateway_brings_nothing_back_later(flight: Flight) -> None:
+    """It would weaken what is rendered when the gateway is replaced, but not at its tick."""
     enabled(flight, "refuse")
     assert flight.ask(cmd="set", K=20.0)["ok"]
     at = flight.view.tick + 20
