@@ -446,8 +446,8 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """The settings of `one` come into force at its tick."""
-    if refused := judged_otherwise(plan, one.values):
+    """The settings of `one` come into force at its tick; an end that lowers does in any case."""
+    if (refused := judged_otherwise(plan, one.values)) and not _stays(one, plan):
         return plan, [answer(plan, one.seq, refused, (one.tick, one.tick), params)]
     try:
         after, end = with_values(plan, one.values, one.tick, params)
@@ -463,20 +463,27 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
 
 
 def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
-    """What brings back what `one` changes of `before`, at the tick at which it ends."""
+    """What brings back what `one` changes of `before`, at the tick at which it ends. It is bound to
+    the environment that `one` leaves where no terms bind it: a strict client's, under a policy by
+    which others may change that unjudged.
+    """
     effective = list(_effective(before, params))
-    until = one.values[Value.UNTIL_TICK]
     for end in before.scheduled:  # what has ended by then is not brought back
-        if _ends(end) and end.tick <= until:
+        if _ends(end) and end.tick <= one.values[Value.UNTIL_TICK]:
             for place in masked_places(end.values):
                 effective[place] = end.values[place]
+    own = {
+        Value.RAMP_S: one.values[Value.RAMP_S],
+        Value.ENVIRONMENT_REVISION: float(following(before.environment_revision)),
+    }
     given = {
-        Value(place): one.values[place] if place == Value.RAMP_S else effective[place]
+        Value(place): own.get(Value(place), effective[place])
         for place in masked_places(one.values)
         if place not in UNBOUNDED
+        or (place == Value.ENVIRONMENT_REVISION and one.values[Value.TERMS] == ANY_TERMS)
     }
     values = values_of(given | {Value.TERMS: float(ANY_TERMS)})
-    return Scheduled(one.seq, one.actor, int(until), values, before.terms)
+    return Scheduled(one.seq, one.actor, int(one.values[Value.UNTIL_TICK]), values, before.terms)
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:

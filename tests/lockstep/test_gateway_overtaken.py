@@ -408,6 +408,35 @@ def test_an_end_that_a_new_gateway_does_not_know_takes_no_damping_away_later(
     assert not stiff_without_damping(flight.fly(2500))
 
 
+@pytest.mark.parametrize("policy", ["off", "warn"])
+@pytest.mark.parametrize("other", [{}, {"cmd": "damping", "value": "off"}])
+def test_an_end_of_a_strict_client_raises_nothing_once_another_has_changed_what_it_was_judged_for(
+    flight: Flight, policy: str, other: dict[str, Any]
+) -> None:
+    rendering(flight, policy)
+    at = flight.view.tick + 50
+    bounded = {**NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 700}
+    assert flight.ask(cmd="set", **bounded, strict=True)["ok"]
+    flight.fly(200)
+    send(flight, *filter(None, [other]), client=b"b")
+    records = flight.fly(1000)
+    assert not stiff_without_damping(records)
+    assert records["stiffness_n_per_m"][-1] == (0.0 if other else STIFF["K"])
+
+
+@pytest.mark.parametrize("policy", ["off", "warn"])
+def test_a_push_of_a_strict_client_ends_whatever_another_has_changed(
+    flight: Flight, policy: str
+) -> None:
+    enabled(flight, policy)
+    at = flight.view.tick + 50
+    bounded = {"K": 30.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 200}
+    assert flight.ask(cmd="set", **bounded, strict=True)["ok"]
+    flight.fly(100)
+    send(flight, {"cmd": "set", "M": 0.001}, client=b"b")
+    assert flight.fly(400)["stiffness_n_per_m"][-1] == 0.0
+
+
 def test_force_0_is_not_refused_for_what_an_end_brings_back_and_the_end_does_not_come(
     flight: Flight,
 ) -> None:
