@@ -24,7 +24,7 @@ from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
 from hapticd.guard.outstanding import Outstanding, Pending
-from hapticd.guard.pending import PendingChange
+from hapticd.guard.pending import PendingChange, ends_force
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
@@ -60,11 +60,12 @@ from hapticd.protocol.view import ServoView
 
 __all__ = ["CommandServer"]
 
+# commands that can be withdrawn from the ring, and what ends their force once they are taken
 TAKEN_BACK = {
-    "enable": Command.DISABLE,
-    "home": Command.DISABLE,
-    "perturb": Command.PERTURB_STOP,
-}  # commands that enable a force, with their opposite
+    Command.ENABLE: Command.DISABLE,
+    Command.HOME: Command.DISABLE,
+    Command.PERTURB_START: Command.PERTURB_STOP,
+} | dict.fromkeys((Command.SET, Command.DAMPING, Command.RESET, Command.ZERO, Command.WITHHOLD))
 # must not be followed by an enable that was requested earlier
 OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
 # still executed after their client has left
@@ -187,6 +188,8 @@ class CommandServer:
         self._leasing.tend(now_ns)
         replies += self._due(now_ns)
         self._guard.tend(now_ns)
+        for one in self._outstanding.of_other_terms(self._guard.terms_number):
+            self._withdrawn(one)
         answered = self._guarded.advance(now_ns, not len(self._outstanding))
         replies += [self._tell(one) for one in answered]
         return [one for one in replies if one is not None]
@@ -199,10 +202,8 @@ class CommandServer:
         actor = self.actors.leave(client)
         self._leasing.leave(actor)
         self._guarded.leave(actor)
+        self._take_back(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
-        if self._view.state is State.DISABLED:  # a suspended servo would read it on resuming
-            for message in self._outstanding.asked_by(actor):
-                self._taken_back(message)
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:
@@ -250,6 +251,7 @@ class CommandServer:
         if isinstance(request, LeaseRequest):
             if request.action == "fail":
                 self._guarded.give_up(actor)
+                self._take_back(actor)
             return self._leasing.answer(request, actor)
         if isinstance(request, GuardRequest):
             self._guard.change(request)
@@ -370,7 +372,7 @@ class CommandServer:
             self.counts["timeouts"] += 1
             outlook = (
                 "it is taken back"
-                if self._taken_back(message)
+                if self._taken_back(pending)
                 else "whether it acts is open, ask with `get` or `status`"
             )
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
@@ -383,16 +385,26 @@ class CommandServer:
             return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
-    def _taken_back(self, message: RequestMessage) -> bool:
-        """Cancel a command whose force would appear unexpectedly, so that it ends in its first
-        tick; return whether that succeeded.
+    def _take_back(self, actor: int) -> None:
+        """Withdraw the posted commands of the client `actor` that have not begun."""
+        for one in self._outstanding.asked_by(actor):
+            self._taken_back(one, self._view.state in (State.ENABLED, State.HOMING))
+
+    def _withdrawn(self, one: Pending) -> bool:
+        """Withdraw `one` from the ring, unless it ends force; return whether that succeeded."""
+        ends = one.change and ends_force(one.change.request, self._guard.in_force.target())
+        return one.kind in TAKEN_BACK and not ends and one.mailbox.withdraw(one.seq)
+
+    def _taken_back(self, one: Pending, forced: bool = False) -> bool:
+        """Withdraw `one`, which is not answered, or end its force in its first tick; return whether
+        that succeeded. `forced`: there is force that must stay.
         """
-        kind = TAKEN_BACK.get(message.cmd)
-        mailbox = self._view.mailbox
-        return (
-            kind is not None
-            and mailbox is not None
-            and mailbox.post(kind, GATEWAY_ACTOR, 0, values_of({})) is not None
+        undo = TAKEN_BACK.get(one.kind)
+        return self._withdrawn(one) or (
+            # a servo that was suspended in the middle of a tick has taken it
+            undo is not None
+            and not (forced and undo is Command.DISABLE)
+            and one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None
         )
 
     def _accepted(self, message: RequestMessage, body: dict[str, Any]) -> Reply:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.pending import PendingChange
-from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Result
+from hapticd.mailbox.client_side import Answer, GatewayMailbox
+from hapticd.mailbox.layout import ANY_TERMS, Command, Result
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting
 from hapticd.protocol.view import ServoView
@@ -27,7 +27,9 @@ class Pending(NamedTuple):
 
     message: RequestMessage
     actor: int
-    life: int  # of the servo it was posted to
+    kind: Command
+    mailbox: GatewayMailbox  # of the servo it was posted to
+    seq: int
     deadline_ns: int
     change: PendingChange | None = None  # of a command that the guard handled
     answer: Answer | None = None
@@ -51,10 +53,29 @@ class Outstanding:
         """Return whether a command of that name has no reply yet."""
         return any(one.message.cmd == cmd for one in self._pending.values())
 
-    def asked_by(self, actor: int) -> list[RequestMessage]:
-        """Return the requests of `actor` that the servo has not yet answered."""
-        mine = (one for one in self._pending.values() if one.actor == actor)
-        return [one.message for one in mine if one.answer is None]
+    def asked_by(self, actor: int) -> list[Pending]:
+        """Return the requests of `actor` that the servo has not yet answered, except stages of a
+        change with a reply.
+        """
+        return [
+            one
+            for one in self._pending.values()
+            if one.actor == actor
+            and one.answer is None
+            and (one.change is None or one.change.enables or not one.change.replied)
+        ]
+
+    def of_other_terms(self, number: int) -> list[Pending]:
+        """Return the changes that the servo has not yet answered and that were judged by other
+        terms than `number`, or by none; nothing if no policy must be enforced.
+        """
+        return [
+            one
+            for one in self._pending.values()
+            if one.answer is None
+            and one.change is not None
+            and number not in (one.change.terms, ANY_TERMS)
+        ]
 
     def post(
         self,
@@ -68,17 +89,18 @@ class Outstanding:
 
         CommandError: no servo is running, or its ring is full.
         """
-        view = self._view
-        view.require_servo(message.cmd)
+        self._view.require_servo(message.cmd)
         kind, apply_tick, values = what
-        seq = view.mailbox.post(kind, actor, apply_tick, values) if view.mailbox else None
-        if seq is None:
+        mailbox = self._view.mailbox
+        seq = mailbox.post(kind, actor, apply_tick, values) if mailbox else None
+        if mailbox is None or seq is None:
             raise CommandError(
                 "busy",
                 f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
             )
-        deadline_ns = now_ns + ANSWER_TIMEOUT_NS
-        self._pending[view.life, seq] = Pending(message, actor, view.life, deadline_ns, change)
+        self._pending[self._view.life, seq] = Pending(
+            message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change
+        )
 
     def take(self, answer: Answer, life: int) -> Pending | None:
         """Note an answer of servo `life`.
@@ -110,7 +132,7 @@ class Outstanding:
 
         Scheduled commands of other lives are forgotten.
         """
-        lost = [pending for pending in self._pending.values() if pending.life != life]
+        lost = [pending for key, pending in self._pending.items() if key[0] != life]
         for known in (self._pending, self._scheduled):
             for key in [key for key in known if key[0] != life]:
                 del known[key]

@@ -18,7 +18,7 @@ from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 
-__all__ = ["PendingChange"]
+__all__ = ["PendingChange", "ends_force"]
 
 
 @dataclass(slots=True, eq=False)

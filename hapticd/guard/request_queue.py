@@ -182,7 +182,8 @@ class GuardedQueue:
         for change in self._waits_of(actor):
             self._drop(change)
         self._under_way.take_back(
-            lambda change: change.enables and change.actor == actor, "client_gone"
+            lambda change: change.actor == actor and (change.enables or not change.replied),
+            "client_gone",
         )
 
     def heard(self, answer: Answer) -> None:
@@ -421,10 +422,14 @@ class GuardedQueue:
             self._want_hand(change)
         if leased := forbidden_by(self._leases, change):
             self._replies.append(ChangeReply(change, leased))
+        elif action == "refuse" and ends_force(change.request, self._guard.in_force.target()):
+            self._try_unjudged(change, now_ns, "it ends force, which is never refused")
         elif action == "refuse":
-            text = f"{change.cmd}: {verdict.get('text', 'the guard gave no reason')}"
+            why = verdict.get("text", "the guard gave no reason")
             self._replies.append(
-                ChangeReply(change, CommandError("guard", text, guard=change.verdict))
+                ChangeReply(
+                    change, CommandError("guard", f"{change.cmd}: {why}", guard=change.verdict)
+                )
             )
         else:
             self._start(change, now_ns)
@@ -494,8 +499,8 @@ class GuardedQueue:
         if not change.at_tick and not change.enables:
             self._under_way.supersede(change)
         self._post(change, now_ns)
-        if change.at_tick:
-            self._terms_sent = (0, ANY_TERMS)  # posted without terms: send those in force after it
+        # posted without terms: those until now have judged the schedule without it
+        self._guard.terms_changes += 1
 
     # --- answers ----------------------------------------------------------------------------------
 
@@ -513,11 +518,11 @@ class GuardedQueue:
             # in force under any verdict: mode auto must not choose again meanwhile
             self._guard.set_auto(self._guard.chooses_level(change))
             return None
+        if change.former and result in (Result.SCHEDULED, Result.APPLIED):
+            self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
         if result is Result.SCHEDULED:
             fields = change.request.change(self._guard.in_force.level)
             self._scheduled.add(change.at_tick, answer.seq, fields)
-            if change.former:
-                self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
             return ChangeReply(change, receipt=receipt(answer))
         if result is Result.APPLIED:
             return self._applied(change, answer, now_ns)

@@ -27,7 +27,7 @@ from hapticd.guard.pending import PendingChange
 from hapticd.guard.scheduled import Fields
 from hapticd.guard.stages import ramp_s
 from hapticd.guard.terms import Terms, TermsKeeper
-from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
+from hapticd.mailbox.layout import ANY_TERMS
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.leases import Leases
@@ -92,7 +92,6 @@ class Guard:
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.terms_changes = 0  # of policy, basis or margin
         self._tended_ns = 0
-        self._terms_base = ANY_TERMS  # number of the first terms, unique to this gateway
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
         self._looked_delay: float | None = None
@@ -144,12 +143,11 @@ class Guard:
 
     @property
     def terms_number(self) -> int:
-        """Number of the terms in force; ANY_TERMS if no policy must be enforced. The number belongs
-        to this gateway: another one counts from its own start.
+        """Number of the terms in force; ANY_TERMS if no policy must be enforced. It is unique in a
+        servo life, across gateways.
         """
-        if not (self.must and self._terms_base):
-            return ANY_TERMS
-        return self._terms_base + self.terms_changes & REVISION_MASK
+        mailbox = self._view.mailbox if self.must else None
+        return mailbox.number << 32 | self.terms_changes if mailbox else ANY_TERMS
 
     @property
     def worker(self) -> str:
@@ -307,7 +305,6 @@ class Guard:
         """Read the answers of the worker, keep it running, and ask pending questions
         about hands.
         """
-        self._terms_base = self._terms_base or now_ns // NS_PER_MS
         self._tended_ns = now_ns
         self.terms = self._keeper.follow(self.terms, now_ns)
         if self._worker is None:

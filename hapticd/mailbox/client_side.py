@@ -64,7 +64,7 @@ class GatewayMailbox:
     """The gateway's side. One per folder: a second one is refused.
 
     A gateway that outlives servos holds the claim of files.GATEWAY_LOCK itself (`claimed`) and
-    opens one of these per life.
+    opens one of these per life. No other one of that life has the same `number`.
     """
 
     def __init__(self, folder: Path, claimed: bool = False) -> None:
@@ -123,6 +123,7 @@ class GatewayMailbox:
         self.words[layout.GATEWAY_PID_WORD] = os.getpid()
         # commands of an earlier gateway in the ring enable no force
         self.store(layout.INHERITED_WORD, self.words[layout.COMMAND_HEAD_WORD])
+        self.number = self.words[layout.GATEWAYS_WORD] = self.words[layout.GATEWAYS_WORD] + 1
 
     @property
     def current(self) -> bool:
@@ -191,16 +192,29 @@ class GatewayMailbox:
         head = self.words[layout.COMMAND_HEAD_WORD]
         if not 0 <= self.backlog < layout.RING_SLOTS:
             return None
-        offset = layout.COMMAND_OFFSET + head % layout.RING_SLOTS * layout.COMMAND.size
-        layout.COMMAND.pack_into(
-            self._map, offset, head + 1, kind, actor, apply_tick, *values, 0, 0
-        )
-        crc = zlib.crc32(self._map[offset : offset + layout.COMMAND_CRC_OFFSET])
-        layout.COMMAND.pack_into(
-            self._map, offset, head + 1, kind, actor, apply_tick, *values, crc, 0
-        )
+        self._write(head + 1, kind, actor, apply_tick, values)
         self.store(layout.COMMAND_HEAD_WORD, head + 1)
         return head + 1
+
+    def withdraw(self, seq: int) -> bool:
+        """Withdraw command `seq` from the ring; return False if the servo has already taken it.
+
+        A servo that reads it at this moment takes the former one, the new one, or finds it damaged.
+        """
+        if waits := seq > self.load(layout.COMMAND_TAIL_WORD):
+            self._write(seq, layout.Command.WITHDRAWN, 0, 0, layout.values_of({}))
+        return waits
+
+    def _write(
+        self, seq: int, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]
+    ) -> None:
+        offset = layout.COMMAND_OFFSET + (seq - 1) % layout.RING_SLOTS * layout.COMMAND.size
+        crc = zlib.crc32(
+            layout.COMMAND.pack(seq, kind, actor, apply_tick, *values, 0, 0)[
+                : layout.COMMAND_CRC_OFFSET
+            ]
+        )
+        layout.COMMAND.pack_into(self._map, offset, seq, kind, actor, apply_tick, *values, crc, 0)
 
     def answers(self) -> list[Answer]:
         """Return all answers since the last call, in order."""

@@ -83,6 +83,7 @@ GATEWAY_PID_WORD = 112
 LAST_ACTOR_WORD = 113  # the largest client number assigned in this servo life (gateway)
 PERTURBATION_LEASE_WORD = 114  # actor that holds the lease of the perturbation, 0: none (gateway)
 INHERITED_WORD = 115  # commands posted by the gateways before this one (gateway)
+GATEWAYS_WORD = 116  # gateways that have served this servo life (gateway)
 JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
 CHECKPOINT_ASKED_WORD = 122  # checkpoints requested (gateway)
 CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
@@ -182,6 +183,7 @@ class Command(IntEnum):
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
     # set the terms of judgements; changes scheduled under other terms are cancelled
     TERMS = 14
+    WITHDRAWN = 15  # in place of one that the gateway withdrew before the servo took it
 
 
 class Value(IntEnum):
@@ -252,8 +254,9 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
     # far below the time for which a board holds damping
     Value.SILENCE_S: ValueLimit(1e-3, LONGEST_SILENCE_S, "s"),
-    Value.TERMS: ValueLimit(0.0, float((1 << 32) - 1), "number"),
-    Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # an exact integer in a double
+    # exact integers in a double
+    Value.TERMS: ValueLimit(0.0, float(1 << 53), "number"),
+    Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),
 }
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
     Value(one.slot): ValueLimit(one.unverified[0], one.unverified[1], one.unit)
@@ -308,7 +311,7 @@ class Result(IntEnum):
     REFUSED_RANGE = 8
     REFUSED_FULL = 9  # 16 commands are scheduled already
     REFUSED_LATE = 10  # at_tick has passed
-    CANCELLED = 11  # a stop or fault removed a scheduled command
+    CANCELLED = 11  # removed by a stop, a fault, other terms or the end of its client
     REFUSED_OWNER = 12  # reset within 1 s of another client's stop
     REFUSED_NO_AUTHORITY = 13  # the board would not grant torque: emergency stop or amplifier
     REFUSED_FILTER = 14  # a force passes the filters

@@ -257,7 +257,8 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
         ),
         Result.CANCELLED: (
             "stopped",
-            "a stop or fault came first; `hapticd reset`, then ask again",
+            "a stop, a fault, other terms of the guard or the end of its client came first; look at"
+            " the state and ask again",
         ),
     }
     if answer.result is Result.REFUSED_OWNER:

@@ -195,7 +195,8 @@ class Set(Rendered):
     until_tick: Tick = _absent(
         "servo tick at which it ends: the same fields return to their values before it; the end is"
         " judged with the change. A stop or a fault cancels it; if it would raise K, B, M or a"
-        " wall, so do other terms, another gateway or another holder of the lease"
+        " wall, so do other terms, another gateway or another holder of the lease; an end that"
+        " lowers comes at once with other terms"
     )
 
     @model_validator(mode="after")

@@ -57,6 +57,11 @@ MOST_SCHEDULED = 16
 UNBOUNDED = frozenset({Value.ENVIRONMENT_REVISION, Value.TERMS, Value.UNTIL_TICK})
 STRENGTHS = frozenset({*STRENGTH_VALUES, Value.WALL_SIDE})
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
+# commands without a sender
+DISOWNED: dict[int, Result] = {
+    safety.ORPHANED_EVENT: Result.REFUSED_NO_GATEWAY,
+    Command.WITHDRAWN: Result.CANCELLED,
+}
 # commands with a mask
 MASKED = SETTINGS | {
     Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS
@@ -186,8 +191,8 @@ def obey(
 ) -> tuple[Plan, list[Answer]]:
     """Return `plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
-    if kind == safety.ORPHANED_EVENT:
-        return plan, [answer(plan, seq, Result.REFUSED_NO_GATEWAY, (now.tick, now.tick), params)]
+    if kind in DISOWNED:
+        return plan, [answer(plan, seq, DISOWNED[kind], (now.tick, now.tick), params)]
     if kind in MASKED and not names_places(values):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, (now.tick, now.tick), params)]
     if kind in SETTINGS:
@@ -404,21 +409,26 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 def _terms(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """Set the terms in force from now on. Scheduled changes are cancelled, unless they were judged
-    by these terms or are the end of a bounded change.
+    """Set the terms in force from now on. Changes scheduled under other terms are cancelled. Ends
+    of bounded changes apply at once, so that later verdicts include them.
     """
     seq, _, _, _, values = request
     here = (now.tick, now.tick)
     if out_of_range(values, params) or Value.TERMS not in masked_places(values):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
     number = int(values[Value.TERMS])
-    gone = [
+    others = [
         one
         for one in plan.scheduled
-        if not _stays(one, plan)
-        and (Value.TERMS not in masked_places(one.values) or one.values[Value.TERMS] != number)
+        if (one.terms if _ends(one) else one.values[Value.TERMS]) != number
     ]
+    gone = [one for one in others if not _stays(one, plan)]
     after, answers = _without(plan._replace(terms=number), gone, params)
+    after = after._replace(
+        scheduled=_in_order(
+            one._replace(tick=now.tick) if one in others else one for one in after.scheduled
+        )
+    )
     return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
 
 
@@ -436,12 +446,8 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """Apply the settings of `one` at its tick. The end of a bounded change that was judged by other
-    terms is cancelled if it would raise a strength.
-    """
-    if _ends(one) and one.terms != plan.terms and not _stays(one, plan):
-        return plan, [answer(plan, one.seq, Result.CANCELLED, (one.tick, one.tick), params)]
-    if refused := judged_otherwise(plan, one.values):
+    """Apply the settings of `one` at its tick. An end that lowers applies in any case."""
+    if (refused := judged_otherwise(plan, one.values)) and not _stays(one, plan):
         return plan, [answer(plan, one.seq, refused, (one.tick, one.tick), params)]
     try:
         after, end = with_values(plan, one.values, one.tick, params)
@@ -457,19 +463,27 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
 
 
 def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
+    """Return the end of `one`, which restores the values of `before`. Without terms, it is bound to
+    the environment that `one` leaves: that of a strict client, whose policy lets other clients
+    change the environment without a verdict.
+    """
     effective = list(_effective(before, params))
-    until = one.values[Value.UNTIL_TICK]
     for end in before.scheduled:  # do not restore values that end by then
-        if _ends(end) and end.tick <= until:
+        if _ends(end) and end.tick <= one.values[Value.UNTIL_TICK]:
             for place in masked_places(end.values):
                 effective[place] = end.values[place]
+    own = {
+        Value.RAMP_S: one.values[Value.RAMP_S],
+        Value.ENVIRONMENT_REVISION: float(following(before.environment_revision)),
+    }
     given = {
-        Value(place): one.values[place] if place == Value.RAMP_S else effective[place]
+        Value(place): own.get(Value(place), effective[place])
         for place in masked_places(one.values)
         if place not in UNBOUNDED
+        or (place == Value.ENVIRONMENT_REVISION and one.values[Value.TERMS] == ANY_TERMS)
     }
     values = values_of(given | {Value.TERMS: float(ANY_TERMS)})
-    return Scheduled(one.seq, one.actor, int(until), values, before.terms)
+    return Scheduled(one.seq, one.actor, int(one.values[Value.UNTIL_TICK]), values, before.terms)
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:

@@ -285,7 +285,10 @@ DEFECTS = {
     "client-numbers": [("lifecycle_client_numbers_begin_again", 4)],
     "masks": [("mask_not_looked_at", 4), ("mask_made_slots_unlooked_at", 4)],
     "dead-gateways-ring": [("lifecycle_what_a_dead_gateway_left_is_obeyed", 4)],
-    "closed-connection": [("lifecycle_waiting_outlives_its_connection", 8)],
+    "closed-connection": [
+        ("lifecycle_waiting_outlives_its_connection", 8),
+        ("lifecycle_enable_with_the_servo_outlives_its_connection", 8),
+    ],
 }
 
 

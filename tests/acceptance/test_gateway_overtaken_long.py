@@ -90,19 +90,6 @@ def test_an_end_of_another_sign_brings_nothing_back(flight: Flight) -> None:
     assert flight.fly(600)["stiffness_n_per_m"][-1] == 30.0
 
 
-def test_an_end_is_looked_at_again_at_its_tick(flight: Flight) -> None:
-    """It brought nothing back when the gateway was replaced, but would by then."""
-    enabled(flight, "refuse")
-    assert flight.ask(cmd="set", K=20.0)["ok"]
-    at = flight.view.tick + 20
-    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 1500)["ok"]
-    flight.fly(50)
-    flight.another_gateway()
-    flight.fly(650)
-    assert flight.ask(cmd="set", K=0.0)["ok"]
-    assert flight.fly(1200)["stiffness_n_per_m"][-1] == 0.0
-
-
 def test_an_end_that_was_cancelled_refuses_nothing(flight: Flight) -> None:
     rendering(flight, "refuse")
     at = flight.view.tick + 50

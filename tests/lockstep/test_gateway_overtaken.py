@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 from support.gateway_rig import decoded, packed
-from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
+from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
 
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.stop_word import press_stop
+
+NOTHING = {"K": 0.0, "B": 0.0}
 
 
 @pytest.fixture
@@ -42,6 +44,13 @@ def enabled(flight: Flight, policy: str) -> None:
     assert flight.ask(cmd="guard", policy=policy)["ok"]
     assert flight.ask(cmd="enable")["ok"]
     flight.fly(500)
+
+
+def stiff_without_damping(records: Any) -> bool:
+    """Whether the whole of STIFF was rendered without the damping that it needs."""
+    stiff = records["stiffness_n_per_m"] > 100.0
+    undamped = records["active_damping_effect_ns_per_m"] < 0.2
+    return bool((stiff & undamped & (records["gain"] == 1.0)).any())
 
 
 # --- stops ----------------------------------------------------------------------------------------
@@ -117,17 +126,94 @@ def test_an_enable_that_was_taken_back_is_not_asked_again(flight: Flight, end: s
     assert flight.view.state is State.DISABLED
 
 
-@pytest.mark.parametrize("policy", ["off", "warn"])
+# --- clients that leave, or fail: the servo stands from the posting until they are gone -----------
+
+
+@pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
 def test_an_enable_that_the_servo_has_not_taken_ends_with_its_connection(
     flight: Flight, policy: str
 ) -> None:
-    """The servo stands from the posting until the client is gone."""
     assert flight.ask(cmd="guard", policy=policy)["ok"]
     send(flight, {"cmd": "enable"})
     until_posted(flight)
     flight.server.leave(b"a")
-    assert not flight.fly(50)["gain"][2:].any()
+    assert not flight.fly(50)["state"].any()
+
+
+@pytest.mark.parametrize("ahead", ["disable", "reset"])
+def test_an_enable_behind_a_command_of_another_ends_with_its_connection(
+    flight: Flight, ahead: str
+) -> None:
+    enabled(flight, "off")
+    if ahead == "reset":
+        send(flight, {"cmd": "stop"}, client=b"b")
+        flight.fly(50)
+    send(flight, {"cmd": ahead}, client=b"b")
+    send(flight, {"cmd": "enable"})
+    flight.server.leave(b"a")
+    flight.fly(50)
     assert flight.view.state is State.DISABLED
+
+
+@pytest.mark.parametrize("end", ["leave", "fail"])
+def test_a_perturbation_that_the_servo_has_not_taken_ends_with_its_client(
+    flight: Flight, end: str
+) -> None:
+    enabled(flight, "warn")
+    assert flight.ask(cmd="perturb", action="load", samples_n=[0.1] * 200)["ok"]
+    if end == "fail":
+        assert flight.ask(cmd="lease", what="perturbation")["ok"]
+        flight.fly(5)
+    # so that the servo would take a stop that followed it a tick later
+    send(flight, {"cmd": "perturb", "action": "stop"}, client=b"b")
+    send(flight, {"cmd": "perturb", "action": "start", "loop": True})
+    if end == "leave":
+        flight.server.leave(b"a")
+    else:
+        send(flight, {"cmd": "lease", "what": "perturbation", "action": "fail"})
+    assert not flight.fly(50)["perturbing"].any()
+
+
+@pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
+def test_a_change_that_the_servo_has_not_taken_ends_with_its_connection_unless_it_ends_force(
+    flight: Flight, policy: str
+) -> None:
+    enabled(flight, policy)
+    assert flight.ask(cmd="set", K=20.0)["ok"]
+    for stiffness, left in ((30.0, 20.0), (0.0, 0.0)):
+        send(flight, {"cmd": "set", "K": stiffness}, client=b"b")
+        until_posted(flight)
+        flight.server.leave(b"b")
+        assert flight.fly(100)["stiffness_n_per_m"][-1] == left
+
+
+@pytest.mark.parametrize("end", ["nothing", "leave"])
+def test_a_change_that_the_servo_has_refused_is_not_judged_again_once_its_client_left(
+    flight: Flight, end: str
+) -> None:
+    """The servo refuses it, since a scheduled change came into force before it was taken."""
+    enabled(flight, "refuse")
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", M=0.001, ramp_s=0.0, at_tick=at)["ok"]
+    send(flight, {"cmd": "set", "K": 20.0}, client=b"b")
+    until_posted(flight)
+    take = flight.stack.mailbox.take
+    flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
+    flight.stack.run(at - flight.view.tick + 2)
+    flight.stack.mailbox.take = take  # type: ignore[method-assign]
+    flight.stack.run(2)
+    if end == "leave":
+        flight.server.leave(b"b")
+    assert flight.fly(200)["stiffness_n_per_m"].any() == (end == "nothing")
+
+
+def test_an_enable_of_a_holder_that_has_failed_does_not_come(flight: Flight) -> None:
+    assert flight.ask(cmd="lease", what="environment", at_end="hold")["ok"]
+    flight.fly(5)
+    send(flight, {"cmd": "enable"})
+    until_posted(flight)
+    send(flight, {"cmd": "lease", "what": "environment", "action": "fail"})
+    assert not flight.fly(50)["state"].any()
 
 
 @pytest.mark.parametrize("policy", ["warn", "refuse"])
@@ -144,6 +230,44 @@ def test_a_client_that_fails_ends_the_stages_after_the_one_with_the_servo(
 
 
 # --- schedules ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("before", ["off", "warn", "measuring"])
+@pytest.mark.parametrize("asked", [{"cmd": "set", **STIFF}, {"cmd": "enable"}])
+def test_what_the_servo_has_not_taken_ends_with_the_terms_it_was_posted_under(
+    flight: Flight, before: str, asked: dict[str, Any]
+) -> None:
+    if asked["cmd"] == "set":
+        enabled(flight, "warn")
+    assert flight.ask(cmd="guard", policy="refuse" if before == "measuring" else before)["ok"]
+    if before == "measuring":
+        assert flight.ask(cmd="lease", what="measuring")["ok"]
+        flight.fly(5)
+    send(flight, asked)
+    until_posted(flight)
+    if before == "measuring":
+        send(flight, {"cmd": "lease", "what": "measuring", "action": "release"})
+    else:
+        send(flight, {"cmd": "guard", "policy": "refuse"}, client=b"b")
+    flight.server.collect(flight.stack.clock.now_ns())
+    flight.fly(100)
+    assert flight.view.state is (State.ENABLED if asked["cmd"] == "set" else State.DISABLED)
+    assert flight.guard.in_force.target().empty
+
+
+def test_terms_of_a_new_gateway_are_never_those_of_a_former_one(flight: Flight) -> None:
+    """The former one has had more terms than milliseconds."""
+    former = set()
+    for _ in range(500):
+        for policy in ("clamp", "refuse"):
+            assert flight.ask(cmd="guard", policy=policy)["ok"]
+            former.add(flight.guard.terms_number)
+    assert len(former) == 1000
+    flight.another_gateway()
+    for policy in ("clamp", "refuse") * 50:
+        flight.fly(1)
+        assert flight.ask(cmd="guard", policy=policy)["ok"]
+        assert flight.guard.terms_number not in former
 
 
 def test_an_end_brings_nothing_back_once_its_clients_lease_ended_at_zero(flight: Flight) -> None:
@@ -180,3 +304,115 @@ def test_bounded_changes_that_overlap_bring_no_push_back(flight: Flight) -> None
     records = flight.fly(400)
     rendered = dict(zip(records["tick"].tolist(), records["stiffness_n_per_m"], strict=True))
     assert [rendered[at + after] for after in (50, 150, 250, 350)] == [30.0, 20.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_end_of_a_change_that_begins_as_it_is_taken_is_judged_too(
+    flight: Flight, late: bool
+) -> None:
+    """Its tick is that in which the servo takes it, so that it is never scheduled."""
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    send(flight, {"cmd": "set", **NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 900})
+    until_posted(flight)
+    if late:
+        take = flight.stack.mailbox.take
+        flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
+        flight.stack.run(at - flight.view.tick - 1)
+        flight.stack.mailbox.take = take  # type: ignore[method-assign]
+    flight.fly(200)
+    assert flight.replies[0]["receipt"]["result"] == ("applied" if late else "scheduled")
+    assert flight.guard.in_force.target().empty
+    assert "error" in flight.ask(cmd="damping", value="off")
+    assert not stiff_without_damping(flight.fly(1500))
+
+
+def test_an_end_that_nobody_judged_brings_no_strength_back_later(flight: Flight) -> None:
+    """It would weaken what is rendered when the policy is strict again, but not at its tick."""
+    rendering(flight, "refuse")
+    assert flight.ask(cmd="lease", what="measuring")["ok"]
+    at = flight.view.tick + 50
+    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1500}
+    assert flight.ask(cmd="set", **asked)["receipt"]["result"] == "scheduled"
+    flight.fly(100)
+    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
+    flight.fly(5)
+    assert flight.ask(cmd="set", **NOTHING)["ok"]
+    flight.fly(100)
+    assert flight.ask(cmd="damping", value="off")["ok"]
+    assert not stiff_without_damping(flight.fly(2000))
+
+
+def test_an_end_that_a_new_gateway_does_not_know_takes_no_damping_away_later(
+    flight: Flight,
+) -> None:
+    enabled(flight, "refuse")
+    at = flight.view.tick + 20
+    bounded = {"active_damping": LEVEL_NS_PER_M, "at_tick": at, "until_tick": at + 2000}
+    assert flight.ask(cmd="set", **bounded)["ok"]
+    flight.fly(100)
+    flight.another_gateway()
+    flight.fly(700)
+    flight.ask(cmd="set", **STIFF)
+    assert not stiff_without_damping(flight.fly(2500))
+
+
+@pytest.mark.parametrize("policy", ["off", "warn"])
+@pytest.mark.parametrize("other", [{}, {"cmd": "damping", "value": "off"}])
+def test_an_end_of_a_strict_client_raises_nothing_once_another_has_changed_what_it_was_judged_for(
+    flight: Flight, policy: str, other: dict[str, Any]
+) -> None:
+    rendering(flight, policy)
+    at = flight.view.tick + 50
+    bounded = {**NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 700}
+    assert flight.ask(cmd="set", **bounded, strict=True)["ok"]
+    flight.fly(200)
+    send(flight, *filter(None, [other]), client=b"b")
+    records = flight.fly(1000)
+    assert not stiff_without_damping(records)
+    assert records["stiffness_n_per_m"][-1] == (0.0 if other else STIFF["K"])
+
+
+@pytest.mark.parametrize("policy", ["off", "warn"])
+def test_a_push_of_a_strict_client_ends_whatever_another_has_changed(
+    flight: Flight, policy: str
+) -> None:
+    enabled(flight, policy)
+    at = flight.view.tick + 50
+    bounded = {"K": 30.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 200}
+    assert flight.ask(cmd="set", **bounded, strict=True)["ok"]
+    flight.fly(100)
+    send(flight, {"cmd": "set", "M": 0.001}, client=b"b")
+    assert flight.fly(400)["stiffness_n_per_m"][-1] == 0.0
+
+
+def test_force_0_is_not_refused_for_what_an_end_brings_back_and_the_end_does_not_come(
+    flight: Flight,
+) -> None:
+    """The end was judged before its damping went, under a lease of measuring."""
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1000}
+    assert flight.ask(cmd="set", **asked)["ok"]
+    flight.fly(100)
+    assert flight.ask(cmd="lease", what="measuring")["ok"]
+    assert flight.ask(cmd="set", K=STIFF["K"] + 20.0, ramp_s=0.0)["ok"]
+    assert flight.ask(cmd="damping", value="off")["ok"]
+    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
+    flight.fly(5)
+    assert flight.ask(cmd="set", **NOTHING)["ok"]
+    flight.fly(100)
+    assert not stiff_without_damping(flight.fly(1000))
+
+
+def test_an_end_of_a_former_gateway_brings_nothing_back_later(flight: Flight) -> None:
+    """It would weaken what is rendered when the gateway is replaced, but not at its tick."""
+    enabled(flight, "refuse")
+    assert flight.ask(cmd="set", K=20.0)["ok"]
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 1500)["ok"]
+    flight.fly(50)
+    flight.another_gateway()
+    flight.fly(650)
+    assert flight.ask(cmd="set", K=0.0)["ok"]
+    assert flight.fly(1200)["stiffness_n_per_m"][-1] == 0.0

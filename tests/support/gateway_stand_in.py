@@ -167,6 +167,8 @@ class StandInServo:
         elif kind == Command.CANCEL:
             self._cancel(actor, int(values[0]))
             self._answer(seq, Result.APPLIED)
+        elif kind == Command.WITHDRAWN:
+            self._answer(seq, Result.CANCELLED)
         elif kind == Command.TERMS:
             self.terms = int(values[Value.TERMS])
             self._end([one for one in self.scheduled if self._foreign(one[4], True)])

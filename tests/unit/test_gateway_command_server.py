@@ -259,6 +259,7 @@ def test_unanswered_command_times_out(rig: CommandServerRig) -> None:
     assert "no answer from the servo within 1 s" in decoded(reply)["error"]["message"]
 
 
+@pytest.mark.parametrize("servo", ["deaf", "mute"])
 @pytest.mark.parametrize(
     ("request_", "undo"),
     [
@@ -269,23 +270,37 @@ def test_unanswered_command_times_out(rig: CommandServerRig) -> None:
     ],
 )
 def test_force_that_was_not_answered_is_taken_back(
-    rig: CommandServerRig, request_: dict[str, object], undo: Command | None
+    rig: CommandServerRig, request_: dict[str, object], undo: Command | None, servo: str
 ) -> None:
     """A servo that hung for seconds would obey in its first tick after that, when nobody
-    expects it any more.
+    expects it any more. Of one that gives no answer it is not known whether it has obeyed.
     """
     rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 8)
     if request_["cmd"] == "perturb":
         rig.ask(cmd="enable")
-    rig.servo.deaf = True
+    setattr(rig.servo, servo, True)
     rig.send(packed(**request_))
     (reply,) = rig.run(1000)
     message = decoded(reply)["error"]["message"]
+    known = undo is not None or servo == "deaf"
     assert message.endswith(
-        "it is taken back" if undo else "whether it acts is open, ask with `get` or `status`"
+        "it is taken back" if known else "whether it acts is open, ask with `get` or `status`"
     )
     posted = [rig.servo.mailbox.take() for _ in range(2)]
-    assert [one and one[1] for one in posted][1] == undo
+    expected = [Command.WITHDRAWN, None] if servo == "deaf" else [undo, None]
+    assert [one and one[1] for one in posted] == expected
+
+
+@pytest.mark.parametrize("request_", [{"cmd": "disable"}, {"cmd": "set", "K": 0, "B": 0, "M": 0}])
+def test_what_ends_force_is_obeyed_however_late(
+    rig: CommandServerRig, request_: dict[str, object]
+) -> None:
+    rig.servo.deaf = True
+    rig.send(packed(**request_))
+    assert rig.run(1000)
+    taken = rig.servo.mailbox.take()
+    assert taken is not None
+    assert taken[1] in (Command.DISABLE, Command.SET)
 
 
 def test_stop_is_posted_although_its_page_is_gone(rig: CommandServerRig) -> None:

@@ -138,10 +138,11 @@ ATTACKS = (
     ),
     Attack(
         "closed-connection",
-        "a connection closes while its requests wait for the guard, or for their turn",
+        "a connection closes while its requests wait for the guard, for their turn, or for the"
+        " servo",
         "they are not carried out",
         {"what": ("enable", "push"), "policy": ("warn", "refuse"), "worker": WORKER,
-         "place": ("guard", "server", NOTHING)},
+         "place": ("guard", "server", "ring", NOTHING)},
         lifecycle_requests.closed_connection,
     ),
 )  # fmt: skip

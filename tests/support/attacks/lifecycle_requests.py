@@ -177,7 +177,7 @@ def _running(stand: Stand, what: str) -> float:
 
 
 def closed_connection(chosen: Chosen, random: Random) -> None:
-    """A change of another client keeps the guard busy meanwhile."""
+    """A change of another client keeps the guard busy meanwhile, or the servo is suspended."""
     control = chosen["place"] == NOTHING
     silent = chosen["worker"] == SILENT
     with Stand() as stand:
@@ -188,8 +188,11 @@ def closed_connection(chosen: Chosen, random: Random) -> None:
             strict_stand(stand)
         stand.done(cmd="guard", policy=chosen["policy"])
         stand.fly(2)
-        _keep_waiting(stand, chosen)
-        seen = stand.fly(random.randrange(8))
+        if chosen["place"] == "ring":
+            _post(stand, chosen)
+        else:
+            _keep_waiting(stand, chosen)
+        seen = stand.fly(0 if chosen["place"] == "ring" else random.randrange(8))
         if not control:
             stand.server.leave(b"a")
         seen += _let_go(stand, silent)
@@ -197,9 +200,23 @@ def closed_connection(chosen: Chosen, random: Random) -> None:
     judged(seen, control=control and (chosen["policy"] == "warn" or not silent))
 
 
+def _asked(stand: Stand, chosen: Chosen) -> dict[str, Any]:
+    return stand.push() if chosen["what"] == "push" else {"cmd": "enable"}
+
+
+def _post(stand: Stand, chosen: Chosen) -> None:
+    """The request is in the servo's ring; a strict policy refuses it where no worker answers."""
+    stand.worker.silent = chosen["worker"] == SILENT
+    stand.send(_asked(stand, chosen))
+    for _ in range(3):
+        stand.look()
+    posted = chosen["policy"] == "warn" or chosen["worker"] == ANSWERS
+    assert bool(stand.mailbox.backlog) == posted, "it was not posted"
+
+
 def _keep_waiting(stand: Stand, chosen: Chosen) -> None:
     """Client b's request is with the worker, and a's waits behind it."""
-    waits = stand.push() if chosen["what"] == "push" else {"cmd": "enable"}
+    waits = _asked(stand, chosen)
     stand.worker.held = True
     stand.worker.silent = chosen["worker"] == SILENT
     stand.send({"cmd": "set", "M": 0.001, "ramp_s": 0.0}, client=b"b")
