@@ -165,7 +165,7 @@ def _defines(shape: Shape) -> Iterable[str]:
     rubs = len(shape.contacts) == 1 and shape.contacts[0].velocity == 1
     if not rubs or any(shape.drift) or shape.rotor_laws or shape.stops or shape.waits:
         raise BenchError(
-            "engine_reference.c has friction on the first body and nothing else that is nonlinear"
+            "engine_reference.c has friction on the first body and no other nonlinearity"
         )
     states = range(shape.states)
     yield f"STATES={shape.states}"

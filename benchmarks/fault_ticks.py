@@ -233,7 +233,7 @@ def stated_ticks(code: str) -> int:
     """
     found = search(r"Noticed within (\d+) ticks?\b", (PAGES / f"{code}.md").read_text())
     if found is None:
-        raise BenchError(f"docs/faults/{code}.md does not say within how many ticks")
+        raise BenchError(f"docs/faults/{code}.md gives no number of ticks")
     return int(found[1])
 
 

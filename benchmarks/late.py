@@ -136,7 +136,7 @@ def _block(count: Count, worker: Worker, other_core: int, ticks: int) -> None:
 
 def main(arguments: list[str]) -> int:
     """Print a row for each rate and interpreter."""
-    parser = argparse.ArgumentParser(description="late ticks beside cyclictest")
+    parser = argparse.ArgumentParser(description="late ticks compared with cyclictest")
     parser.add_argument("--python", help="another interpreter, which takes turns with this one")
     parser.add_argument("--share", type=float, default=1.0, help="of the periods")
     asked = parser.parse_args(arguments)

@@ -104,7 +104,7 @@ TABLE: dict[str, dict[str, Target]] = {
             "<= 3x",
             "a bare ZeroMQ-to-websocket forwarder, asyncio too, of the same messages at the same"
             " time",
-            "frames are made out of the records, beside the daemon's words, guard and timing",
+            "frames are built from the records, along with the daemon's status, guard and timing",
         ),
     },
     "page_seen": {
@@ -139,7 +139,7 @@ TABLE: dict[str, dict[str, Target]] = {
     "guard_cpu": {
         "guard_cpu_ratio": Target(
             "<= 1.5x",
-            "the same gateway while nobody listens to `guard`, in turns",
+            "the same gateway without a subscriber to `guard`, in alternation",
             "two questions, answers and messages a second; what they ask is computed by another"
             " process",
         ),
@@ -176,9 +176,9 @@ TABLE: dict[str, dict[str, Target]] = {
             ">= 16", "", "of 20; fewer are an interval that is too narrow, not chance (0.3 %)"
         ),
         "blind_halfwidths": Target("<= 1", "", "intervals that hold everything would be no news"),
-        "blind_refused": Target(">= 7", "", "what is broken has to be named, each of them"),
+        "blind_refused": Target(">= 7", "", "every defect must be named"),
         "blind_force_share": Target(
-            "<= 10", "", "percent; nobody knows what a motor does before its sign was seen"
+            "<= 10", "", "percent; the action of a motor is unknown until its sign is measured"
         ),
     },
     "guard_attack": {
@@ -194,7 +194,7 @@ TABLE: dict[str, dict[str, Target]] = {
             "the same through command server, servo and board, held by such a hand and moved",
         ),
         "guard_false_refusals": Target(
-            "<= 5", "", "percent; a guard that refuses what is safe is switched off"
+            "<= 5", "", "percent; users switch off a guard that refuses safe environments"
         ),
     },
     "delay": {
@@ -241,9 +241,7 @@ TABLE: dict[str, dict[str, Target]] = {
         "servo_rss_mb": Target(
             "<= 25", "", "an interpreter and pyusb, no numpy; the simulated board included"
         ),
-        "servo_growth_kb": Target(
-            "<= 64", "", "nothing may grow; some pages of slack for the allocator"
-        ),
+        "servo_growth_kb": Target("<= 64", "", "no growth; some pages of margin for the allocator"),
         "servo_threads": Target("<= 1", "", "one task, one thread"),
         "servo_minor_faults": Target(
             "<= 0", "", "everything is locked in memory before the first tick"
@@ -281,7 +279,7 @@ TABLE: dict[str, dict[str, Target]] = {
             ">= 100000x", "scipy's solve_ivp", "error control at every switch of friction"
         ),
         "effects_friction_off": Target(
-            ">= 1.5x", "the scene without friction", "what a scene does not have must cost nothing"
+            ">= 1.5x", "the scene without friction", "effects absent from a scene must cost no time"
         ),
         "effects_plant_only": Target(">= 1x", "that without law, counts, limit, delay", "the same"),
     },
@@ -355,12 +353,14 @@ TABLE: dict[str, dict[str, Target]] = {
             "<= 10", "", "4 trials determine an affine device, the rest confirms"
         ),
         "search_weir_wrong_share": Target(
-            "<= 0.8x", "the prediction's wrong share", "trials must tell more than the model does"
+            "<= 0.8x", "the prediction's wrong share", "trials must add to the model"
         ),
         "search_weir_trials": Target(
             "<= 40", "", "until no more is wrong than in the grid simulated again"
         ),
-        "search_weir_grid_trials": Target(">= 25x", "trials of the grid", "what the search is for"),
+        "search_weir_grid_trials": Target(
+            ">= 25x", "trials of the grid", "the purpose of the search"
+        ),
     },
     "timing": {
         "timing_stiffness_ratio": Target(

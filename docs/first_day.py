@@ -71,7 +71,7 @@ def found(axis, results: list[StepResult], rig: BlindRig) -> None:
         axis.plot(ends[[0, 2]], [row, row], color=BLUE)
         axis.plot(ends[1], row, "o", color=BLUE)
     axis.axvline(0.0, color=BLACK, linewidth=0.8)
-    axis.set(title="found, beside the truth", xlabel="difference (%)", xlim=(-6.0, 6.0))
+    axis.set(title="measured, and true value", xlabel="difference (%)", xlim=(-6.0, 6.0))
     axis.set_yticks(range(len(shown)), [one.name for one, _ in shown], fontsize=7)
     axis.invert_yaxis()
 

@@ -56,7 +56,7 @@ def soaked(found: dict[str, Any]) -> str:
         ("commands; refused, with a reason", _commands(found)),
         ("subscribers that came and went", f"{found['subscribers']:,}"),
         ("times the board was plugged in again", counters["reconnects"]),
-        ("times its firmware started anew", counters["board_lives"]),
+        ("restarts of its firmware", counters["board_lives"]),
         ("frames missing; damaged; stale or late", _frames(counters)),
         ("faults latched, and reset", _counts(found["faults_latched"])),
         ("stops pressed; longest until no force", _stops(found)),

@@ -27,7 +27,7 @@ def refresh(run: Path) -> None:
     """Update the page from a run folder of `python -m examples.weir2008`."""
     summary = json.loads((run / "table.json").read_text())
     if summary["quick"]:
-        raise SystemExit(f"{run}: predicted with --quick; the page tells of trials: run it without")
+        raise SystemExit(f"{run}: predicted with --quick; the page reports trials: run it without")
     PAGE.write_text(filled(PAGE.read_text(), from_json(summary["table"])))
     if run.resolve() != FIGURES.resolve():
         copy(run)

@@ -61,7 +61,7 @@ def main(asked: argparse.Namespace, path: Path) -> float:
 
 if __name__ == "__main__":
     parser = arguments(__doc__.split("\n")[0])
-    parser.add_argument("--simulated", action="store_true", help="nobody is there")
+    parser.add_argument("--simulated", action="store_true", help="no participant")
     parser.add_argument("--pause", type=float, default=2.0, metavar="S", help="at each spring")
     found = main(parser.parse_args(), Path("jnd.csv"))
     print(f"just noticeable: {100.0 * found:.0f} % of {REFERENCE_N_PER_M:g} N/m; see jnd.csv")

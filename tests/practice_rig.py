@@ -208,8 +208,8 @@ def main(arguments: list[str]) -> int:
         return quick(folder, arguments[1:])
     if arguments[1:2] and arguments[1] not in (*get_args(Action), "--instance"):
         raise ConfigError(
-            f"{arguments[1]!r} needs a daemon: start `make practice`, then `hapticd {arguments[1]}`"
-            " in another terminal, as it says there"
+            f"{arguments[1]!r} needs a daemon: start `make practice`, then run `hapticd"
+            f" {arguments[1]}` in another terminal"
         )
     if len(arguments) > 1 and arguments[1] != "--instance":
         amount = float(arguments[2]) if len(arguments) > 2 else 0.0

@@ -102,7 +102,7 @@ def _boxes(depth: int, row: list[str]) -> list[str]:
                 middle=left + width / 2,
                 name=name,
                 name_y=top + 20,
-                below=f"imports {used}" if used else "imports nothing of the package",
+                below=f"imports {used}" if used else "imports no other package of hapticd",
                 below_y=top + 37,
             )
         )

@@ -100,7 +100,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         reproduce(asked)
     except KeyboardInterrupt:
-        talk("interrupted: nothing of this run was kept")
+        talk("interrupted: no result of this run was stored")
         return INTERRUPTED
     except HapticdError as error:
         talk(f"weir2008: {error}")

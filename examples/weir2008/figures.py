@@ -206,7 +206,7 @@ def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Fig
     seeds = (
         f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
     )
-    title = f"Limits on their axes beside the paper's, SIMULATED; {seeds}"
+    title = f"Axis limits and those of the paper, SIMULATED; {seeds}"
     figure, (axis,) = axes(1, 1, WIDTH_IN, 4.1, title, width_mm=width_mm)
     names = list(PAPER)
     percent = 100.0 * TOLERANCE

@@ -41,7 +41,7 @@ from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 __all__ = ["TABLE_JSON", "keep", "sections", "terminal"]
 
-SHAPE = "The paper does not say how its walls were hit: only the shape can be compared."
+SHAPE = "The paper does not describe the impacts on its walls: only the shape can be compared."
 OWNERS = (
     "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and"
     " |M| w the largest; nobody where noise alone would make the envelope as wide. The lower edge"
@@ -86,7 +86,7 @@ def sections(result: ReproduceResult) -> tuple[Section, ...]:
         "limits": (
             Drawing(
                 "limits",
-                "**Limits** on their axes beside the paper's.",
+                "**Limits** on their axes, and those of the paper.",
                 partial(limits_figure, result),
             ),
         ),

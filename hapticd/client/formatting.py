@@ -179,7 +179,7 @@ def _margin(verdict: GuardVerdict | None) -> str:
     """Return the margin of an environment that is known to be safe."""
     if not verdict or not verdict.safe:
         return ""
-    how = "clamped to what is safe, " if verdict.clamped else ""
+    how = "reduced to a safe value, " if verdict.clamped else ""
     margin = verdict.margin_ns_per_m
     spare = "" if margin is None else f"{margin:.3g} N s/m to spare, "
     return f"; {how}{spare}by {verdict.basis}"

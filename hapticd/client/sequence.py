@@ -281,7 +281,7 @@ class _Run:
     def _leave(self, ended: _EndedError) -> Part:
         """Leave the display as requested, and update the results of scheduled steps."""
         way = "stop" if isinstance(ended.cause, DaemonDown) else self._at_refusal
-        self._left = "nothing was done to the display"
+        self._left = "the display was not changed"
         if self._at_refusal != "hold":
             answer = yield Ask(way)
             failed = isinstance(answer, HapticdError)

@@ -63,7 +63,7 @@ class Asker:
         number = request.pop("ask", None)
         cmd = str(request.pop("cmd", ""))
         if cmd not in ALLOWED:
-            reply(_refused(number, "invalid", f"{cmd[:32]!r} is not asked from a page"))
+            reply(_refused(number, "invalid", f"{cmd[:32]!r} cannot be requested from a page"))
         elif not self._places.acquire(blocking=False):
             reply(_refused(number, "busy", f"{MOST_OPEN} requests have no answer yet"))
         else:

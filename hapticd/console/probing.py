@@ -31,7 +31,7 @@ EVERY_S = 0.5
 LAG = 512  # samples: a resolution of about 12 Hz
 FREQUENCIES_HZ = np.geomspace(8.0, 500.0, 60)
 COHERENT = 0.3  # lines of lower coherence are not shown
-NOTHING = "nothing excites it; try Noise"
+NOTHING = "no excitation; use Noise"
 
 
 class Probing:

@@ -60,7 +60,7 @@ class Recorder:
         it, or an empty text.
         """
         if self._process is None:
-            return "nothing is being recorded"
+            return "no recording is running"
         self._process.send_signal(signal.SIGINT)
         return ""
 

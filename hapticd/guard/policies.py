@@ -173,7 +173,7 @@ class _Judged:
         why = self._trouble()
         safer = next((plan for plan in self.plans if self._is_safer(plan)), None)
         if safer is not None:
-            all_the_same = "taken all the same: it is safer than now"
+            all_the_same = "applied: it is safer than the present environment"
             return self._taken(safer, Outcome.SAFER, why.and_reason(Reason.SAFER, all_the_same))
         if self.policy == "warn":
             return self._taken(self.plans[0], Outcome.WARNING, why)
@@ -298,7 +298,7 @@ class _Judged:
         if plan.end == self.target:
             return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
-            return self._not_clamped(why, "the rest of it is not safe either")
+            return self._not_clamped(why, "the clamped change is not safe either")
         given = f"given is {self._spare(plan.end)}"
         return self._taken(plan, Outcome.CLAMPED, why.and_reason(Reason.GIVEN, given))
 
@@ -359,7 +359,7 @@ class _Judged:
     def _followed(self, why: Explanation) -> dict[str, Any]:
         small = None if "filters" in self.planner.change else self._smaller()
         if small is None:
-            text = "no smaller environment is enough either"
+            text = "no smaller environment is safe either"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         names = (*AXES, "wall") if self.wanted.wall.side else AXES
         first = Stage({name: small.message()[name] for name in names})

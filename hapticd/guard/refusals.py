@@ -42,7 +42,7 @@ def verdict_beside(
         why = f"the guard's worker answered: {answer.get('error')}" if answer else late
         return guard.unknown(why or guard.trouble)
     if answer.get("action") == "stage" and verdict.get("safe"):
-        stages = because(Reason.ONLY_IN_STAGES, "the way there is not passive, only in stages")
+        stages = because(Reason.ONLY_IN_STAGES, "the path is passive only in stages")
         known = explanation_of(verdict)
         both = Explanation(stages.reasons + known.reasons, known.remedies)
         verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)

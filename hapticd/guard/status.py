@@ -217,10 +217,10 @@ class Guard:
             return "no servo answers, so nothing is in force"
         why = self.trouble if self.worker != "up" else "it is being judged"
         if not self.in_force.known:
-            return f"what is in force is not known yet; {why}"
+            return f"the environment in force is not yet known; {why}"
         if self.in_force.empty:
             return f"nothing is rendered (K, B, M and the wall are 0); {why}"
-        return f"no verdict on what is in force yet: {why}"
+        return f"no verdict yet on the environment in force: {why}"
 
     def _delays(self, model_periods: float | None) -> dict[str, Any]:
         counted = self.delay_periods
@@ -257,9 +257,7 @@ class Guard:
             "allowed": {},
             "clamped": False,
             "not_covered": [],
-            **because(
-                Reason.UNKNOWN, f"whether this withstands every passive hand is unknown: {why}"
-            ).plain(Outcome.UNKNOWN),
+            **because(Reason.UNKNOWN, f"passivity unknown: {why}").plain(Outcome.UNKNOWN),
         }
 
     # --- the environment in force -----------------------------------------------------------------

@@ -95,7 +95,7 @@ class Worker:
         except OSError:
             sent = 0
         if sent != LENGTH.size + len(data):
-            self.give_up("it takes no requests")
+            self.give_up("it does not read requests")
 
     def answers(self) -> list[dict[str, Any]]:
         """Return the answers since the last call."""

@@ -151,7 +151,7 @@ class Masses(Effect):
     """The masses themselves. They are always built."""
 
     key: ClassVar[str] = "masses"
-    why: ClassVar[str] = "what is moved"
+    why: ClassVar[str] = "the moving masses"
     rotor_kg: float = number(gt=0, le=100)  # moving with the motor, reflected to the endpoint
     slider_kg: float = number(0.0, ge=0, le=100)  # sliding with the encoder
 
@@ -287,7 +287,7 @@ class WorkspaceEnds(Effect):
     """Inelastic mechanical ends at the endpoint."""
 
     key: ClassVar[str] = "ends"
-    why: ClassVar[str] = "travel ends somewhere"
+    why: ClassVar[str] = "the travel has ends"
     nonlinearity: ClassVar[str] = "position held inside the travel"
     lower_m: float = number(ge=-10, le=10)  # lowest position of the endpoint
     upper_m: float = number(ge=-10, le=10)  # highest position of the endpoint
@@ -353,7 +353,7 @@ class Saturation(Effect):
     """The force command is limited."""
 
     key: ClassVar[str] = "saturation"
-    why: ClassVar[str] = "motor and amplifier give so much and no more; bounds what is unstable"
+    why: ClassVar[str] = "motor and amplifier have a maximum force; it bounds an unstable motion"
     nonlinearity: ClassVar[str] = "force held inside its limit"
     limit_n: float = number(gt=0)  # largest magnitude of the command
 
@@ -617,7 +617,7 @@ class InductanceError(Effect):
     """L di/dt is cancelled incompletely (error_h > 0) or too much (< 0)."""
 
     key: ClassVar[str] = "inductance"
-    why: ClassVar[str] = "what is left of L di/dt looks like velocity"
+    why: ClassVar[str] = "an uncancelled part of L di/dt looks like velocity"
     error_h: float = number(ge=-1, le=1)  # true minus compensated; > 0: not cancelled completely
 
     def build(self, plan: Blueprint) -> None:
@@ -683,7 +683,7 @@ class AntiAlias(Effect):
 
     key: ClassVar[str] = "anti_alias"
     why: ClassVar[str] = (
-        "keeps what lies above 2 kHz out of the record; equal in both channels, so the ratio stays"
+        "keeps frequencies above 2 kHz out of the record; equal in both channels: no effect on Z"
     )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB, Butterworth of the second order
 

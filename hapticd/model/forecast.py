@@ -38,7 +38,7 @@ class Forecast:
     theorem_margin: float  # damping margin, N s/m
     theorem_passive: bool  # includes stability, which the theorem assumes
     withstands: bool  # whether no passive hand makes it oscillate
-    # None if it withstands, is unstable by itself, or no hand was found
+    # None if it withstands, is unstable without a hand, or no hand was found
     shaker: DestabilisingHand | None
     true: Prediction  # of Z itself, K < 0 allowed
     recorded: Prediction  # of Z as the probe's channels record it, K < 0 allowed

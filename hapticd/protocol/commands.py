@@ -178,7 +178,7 @@ def persisting(fault: Fault, status: int) -> str:
     if status & StatusBit.EMERGENCY_STOP:
         return f"{PRESSED}; release it, then ask again"
     cause = f"{fault.cause}; {fault.remedy}" if fault.number else "see `hapticd status`"
-    return f"what caused, or would cause, a fault is still there: {cause}"
+    return f"the cause of a fault persists: {cause}"
 
 
 def held(answer: Answer, view: ServoView, actors: Actors) -> str:

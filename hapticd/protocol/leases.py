@@ -250,6 +250,5 @@ class Leases:
     def _gone(self, ended: Ended) -> CommandError:
         return CommandError(
             "leased",
-            f"{ended.text}; look at what changed, then take it again, or release it to go on"
-            " without",
+            f"{ended.text}; check the change, then take it again, or release it to go on without",
         )

@@ -132,7 +132,7 @@ class CommandLimits:
         """
         kg = value / G_PER_KG
         if name != "M" or not self.allows("M", kg):
-            return "ask for a value inside"
+            return "use a value within"
         return (
             f"in kg; did you mean {kg:.3f}?"
             if kg == round(kg, 3)

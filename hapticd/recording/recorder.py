@@ -130,7 +130,7 @@ class Recorder:
         except OSError as error:
             part = self._params.part
             raise HapticdError(
-                f"{part}: {error}; what was flushed before is safe: free some space, then `hapticd"
+                f"{part}: {error}; the data flushed before are safe: free some space, then `hapticd"
                 f" rec recover {part}`"
             ) from error
         finally:

@@ -183,7 +183,7 @@ def main(arguments: list[str]) -> int:
             )
         params = read_params(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
-            raise ConfigError(f"{paths[0]} says simulated; name the board.json too")
+            raise ConfigError(f"{paths[0]} is marked as simulated; pass the board.json too")
         board = read_params(BoardParams, paths[1]) if params.simulated else None
         servo = Servo(params, board, MonotonicClock())
         on_stop(servo.stop)

@@ -31,9 +31,9 @@ from hapticd.usb.frames import Capability, HelloFrame
 from hapticd.usb.transport import Transport, settle_transport
 
 NOT_LOOKED_AT: Final = -1  # in place of the number of a life
-STARTED_ANEW: Final = "the board has started anew and has not said yet who it is"
+STARTED_ANEW: Final = "the board has restarted and is not yet identified"
 
-UNMEASURED: Final = "the bus could not be measured, so nobody knows what rate it holds: {}"
+UNMEASURED: Final = "the bus could not be measured, so its maximum rate is unknown: {}"
 
 
 class BoardCheck(NamedTuple):

@@ -139,8 +139,8 @@ def _mark_of(own: Floats, mark_at: int, other: Floats) -> Mark:
     best_of = int(np.argmax(scores))
     if scores[best_of] < LEAST:
         raise AnalysisError(
-            f"a mark at row {marks[best_of].row}, but what follows is not this trial: the best"
-            f" coefficient of its first {FEWEST} pieces is {scores[best_of]:.2g}, {LEAST:g} is"
+            f"a mark at row {marks[best_of].row}, but the signal after it is not this trial: the"
+            f" best coefficient of its first {FEWEST} pieces is {scores[best_of]:.2g}, {LEAST:g} is"
             " needed; name the daemon's record of the same trial with --align"
         )
     return marks[best_of]

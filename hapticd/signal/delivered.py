@@ -97,7 +97,7 @@ RATE = 7  # of FORCE
 NO_CURRENT = "unknown: the board sends no current, and no voltage over a known resistance"
 NO_MOTION = "unknown: the handle hardly moves"
 TOO_LITTLE = "unknown: too little was seen under force at this level"
-TOO_WIDE = "unknown: force and velocity cannot be told apart by this motion"
+TOO_WIDE = "unknown: this motion cannot separate force and velocity"
 
 
 class Estimate(NamedTuple):

@@ -357,7 +357,7 @@ CAUSE = "how long the cause lasts [s]; the fault stays until CLEAR_FAULT"
 HANGS = "the board hangs: outputs stay as they are, OUT is not accepted"
 OUT_FAULTS: dict[str, Kind[OutFault]] = {
     "drop_out": Kind(
-        lambda injector, packet, value, t_ns: None, "OUT is lost; the host believes it was sent"
+        lambda injector, packet, value, t_ns: None, "OUT is lost; for the host it was sent"
     ),
     "corrupt_out": Kind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
     "stall_out": Kind(_stalled, "the OUT endpoint halts until clear_halt"),
@@ -414,7 +414,7 @@ OUT_FAULTS: dict[str, Kind[OutFault]] = {
 
 IN_FAULTS: dict[str, Kind[InFault]] = {
     "drop_in": Kind(
-        lambda injector, packet, value, t_ns: None, "IN is lost; the board believes it was read"
+        lambda injector, packet, value, t_ns: None, "IN is lost; for the board it was read"
     ),
     "delay_in": Kind(_delayed, "IN is delivered late", "after its latch [s]"),
     "burst_in": Kind(

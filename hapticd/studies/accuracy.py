@@ -199,7 +199,7 @@ class ReferenceComparison(ABC, Generic[T]):
         AnalysisError if the scene cannot run there: the stack begins at rest.
         """
         if self.scene.start_velocity_m_per_s or self.scene.start_position_m:
-            raise AnalysisError("the scene begins in motion, lock-step at rest")
+            raise AnalysisError("the scene starts in motion, but lock-step starts at rest")
         samples = round(seconds * PROBE_RATE_HZ)
         source = self.scene.excitation
         if self.torque_n is None:

@@ -53,7 +53,7 @@ def greet(reply: bytes) -> HelloFrame:
         )
     if hello.watchdog_ms <= 0:
         raise ProtocolMismatch(
-            f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware that stops by itself"
+            f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware with a watchdog"
         )
     for name in ("force_full_scale_n", "force_limit_n"):
         value = getattr(hello, name)

@@ -345,7 +345,7 @@ def _gone(status: Status) -> TrialEnd | None:
     reason = ENDS.get(state, EndReason.DISABLED)
     cause = status.cause if reason is not EndReason.DISABLED else ""
     fault = status.fault if reason is EndReason.FAULT else ""
-    return TrialEnd(reason, cause or "somebody ended it", fault)
+    return TrialEnd(reason, cause or "another client ended it", fault)
 
 
 def signals(probe: Block) -> Floats:

@@ -145,7 +145,7 @@ def read_portable(path: Path) -> dict[str, Any]:
     try:
         content = dict(json.loads(regular(path, SAMPLES_BYTES).read_text()))
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{path}: no Z-width summary ({error})") from error
+        raise ConfigError(f"{path}: not a Z-width summary ({error})") from error
     if content.get("zwidth") != VERSION:
         raise ConfigError(
             f"{path}: version {content.get('zwidth')!r} of a Z-width summary; this program reads"

@@ -218,7 +218,7 @@ class TrialMonitor:
         if np.isnan(self.seconds_needed):
             return "recording"
         if self.seconds_needed <= self.seconds:
-            return "recording; the verdict stands"
+            return "recording; the verdict is final"
         return f"recording; {needed(self.seconds_needed, self.seconds)}"
 
     def see(
@@ -323,7 +323,7 @@ class TrialMonitor:
         final = found.verdict.answer != "undecided" and not found.needed.any()
         if watch.until_decided and final:
             self.ended = TrialEnd(
-                EndReason.DECIDED, f"the verdict stands after {self.seconds:.0f} s"
+                EndReason.DECIDED, f"the verdict is final after {self.seconds:.0f} s"
             )
 
 

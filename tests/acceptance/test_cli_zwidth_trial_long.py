@@ -185,7 +185,7 @@ def test_live_trial_that_leaves_the_device_in_fault_ends_with_5(monkeypatch, tmp
 def test_live_trial_without_stiffness_ends_at_the_stop(daemon, tmp_path, capsys):
     code, _, err = run(["trial", "live", "--out", str(tmp_path)], capsys)
     assert "in K 0 N/m, B 0 N s/m, M 0 kg" in err
-    assert "with K = 0 nothing holds the device in its travel; -K 20 would" in err
+    assert "with K = 0 no force keeps the device within its travel; use -K 20" in err
     assert "travel: the device stands at" in err
     assert code == 65
 

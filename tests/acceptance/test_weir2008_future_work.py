@@ -158,7 +158,7 @@ def test_safest_refuses_a_device_that_bears_nothing():
     bare = bench((*PARTS_OF_RIGID[:2], Viscous(rotor_ns_per_m=0.0)))
     with pytest.raises(
         AnalysisError,
-        match=r"'small' at 0 N s/m: not passive without friction even where nothing is rendered",
+        match=r"'small' at 0 N s/m: not passive without friction even for a free display",
     ):
         lightest_safe(bare, 0.0, -1.0, 0.0)
 

@@ -20,7 +20,7 @@ def test_interrupted_run_says_that_nothing_is_kept(
     monkeypatch.setattr(trial, "run_trial", interrupted)
     monkeypatch.setattr(walls, "run_walls", interrupted)
     code, _, err = run([verb, "--out", str(tmp_path / "x")], capsys)
-    assert (code, err.splitlines()[-1]) == (130, "interrupted: nothing of this run was kept")
+    assert (code, err.splitlines()[-1]) == (130, "interrupted: no result of this run was stored")
     assert not (tmp_path / "x").exists()
 
 

@@ -53,7 +53,7 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
         (
             ["-K", "1e6"],
             2,
-            r"K = 1e\+06 N/m: beyond the limit -1000\.\.\d+ N/m .*; ask for a value inside",
+            r"K = 1e\+06 N/m: beyond the limit -1000\.\.\d+ N/m .*; use a value within",
         ),
         (
             ["--active-damping", "500"],

@@ -165,7 +165,7 @@ ROWS: list[Row] = [
         {"groups": frozenset()},
         ASKED,
         "warn",
-        "there is no group",
+        "does not exist",
         "systemd-sysusers",
     ),
     (probes.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),

@@ -984,7 +984,7 @@ def test_verdict_on_what_was_in_force_before_is_not_told_as_that_on_what_is(
     rig.ask(cmd="set", K=1e4)
     found = rig.ask(cmd="guard")["result"]
     assert found["verdict"] is None
-    assert found["unjudged"] == "no verdict on what is in force yet: it is being judged"
+    assert found["unjudged"] == "no verdict yet on the environment in force: it is being judged"
     worker.script = lambda asked: (
         looked(asked, safe=False) if asked["ask"] == "look" else {"hand": None}
     )
@@ -1000,7 +1000,7 @@ def test_before_any_verdict_what_is_true_is_said(tmp_path: Path) -> None:
     assert (found["verdict"], found["unjudged"]) == (None, nothing)
     rig.ask(cmd="set", wall={"stiffness_n_per_m": 10})
     found = rig.ask(cmd="guard")["result"]
-    assert found["unjudged"].startswith("no verdict on what is in force yet")
+    assert found["unjudged"].startswith("no verdict yet on the environment in force")
 
 
 def test_look_by_another_margin_is_not_believed(rig: CommandServerRig, worker: StubWorker) -> None:

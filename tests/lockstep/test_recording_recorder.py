@@ -229,7 +229,7 @@ def test_write_error_ends_it_with_the_remedy(
     with pytest.raises(
         HapticdError,
         match=(
-            r"No space left on device; what was flushed before is safe: .*rec recover"
+            r"No space left on device; the data flushed before are safe: .*rec recover"
             r" .*run\.part\.h5"
         ),
     ):

@@ -11,7 +11,7 @@ from hapticd.rig.steps.link import try_watchdog
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.sim.axis import Axis
 
-SAID = "as the board says; no force acted, so none was seen to end"
+SAID = "as reported by the board; no force was on, so the end of a force was not measured"
 
 
 @pytest.mark.parametrize("honest", [True, False])

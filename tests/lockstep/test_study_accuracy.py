@@ -43,5 +43,5 @@ def test_lockstep_flies_a_push_as_the_engine_does() -> None:
 
 def test_lockstep_refuses_a_scene_that_begins_in_motion() -> None:
     comparison = PositionComparison(load_scene("wall"), "wall", Setting(1.0), stopwatch())
-    with pytest.raises(AnalysisError, match="the scene begins in motion, lock-step at rest"):
+    with pytest.raises(AnalysisError, match="starts in motion, but lock-step starts at rest"):
         comparison.lockstep(1.0)

@@ -43,7 +43,7 @@ def test_interrupted_run_keeps_nothing(
 
     monkeypatch.setattr(run, "run_reproduce", interrupted)
     assert program.main(["--out", str(tmp_path / "x")]) == 130
-    assert "interrupted: nothing of this run was kept" in capsys.readouterr().err
+    assert "interrupted: no result of this run was stored" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 

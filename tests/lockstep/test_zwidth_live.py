@@ -87,7 +87,7 @@ def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
 
 def test_trial_that_someone_ends_says_so(rigid):
     found = flown(rigid, lambda bench: bench.disable())
-    assert str(found.recorded.ended) == "disabled: somebody ended it"
+    assert str(found.recorded.ended) == "disabled: another client ended it"
     assert found.recorded.ended.reason is EndReason.DISABLED
 
 

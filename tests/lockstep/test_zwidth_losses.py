@@ -165,6 +165,6 @@ def test_outlook_of_a_recording_is_no_0():
     force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
     sentinel.see(force, force / 3.0)
     assert sentinel.seconds_needed < 0.5
-    assert sentinel.outlook == "recording; the verdict stands"
+    assert sentinel.outlook == "recording; the verdict is final"
     sentinel.seconds_needed = 23.4
     assert sentinel.outlook == "recording; a record like it of some 23 s would decide"

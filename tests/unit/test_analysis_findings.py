@@ -162,7 +162,7 @@ def test_low_coherence_at_the_lower_edge_is_named():
 def test_short_record_is_refused():
     with pytest.raises(
         AnalysisError,
-        match=re.escape("record of 1 s: at least 2 s are needed to tell noise from drift"),
+        match=re.escape("record of 1 s: at least 2 s are needed to separate noise from drift"),
     ):
         examine(np.ones(4000), np.ones(4000), RATE_HZ)
 

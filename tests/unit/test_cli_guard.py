@@ -148,7 +148,7 @@ def test_receipt_says_what_is_to_spare(
     monkeypatch.setattr(double, "_ask", lambda verb, what=None: done)
     assert main(["set", "K=99"]) == 0
     found = capsys.readouterr()
-    assert found.out.endswith("; clamped to what is safe, 0.25 N s/m to spare, by theorem\n")
+    assert found.out.endswith("; reduced to a safe value, 0.25 N s/m to spare, by theorem\n")
     assert found.err == ""
 
 

@@ -53,7 +53,7 @@ def test_an_end_of_which_nothing_is_known_is_the_stated_one() -> None:
         (
             {"K": 2e4},
             "K = 20000 N/m: beyond the limit -1000..19600 N/m (of this device, against mistaken"
-            " units); ask for a value inside",
+            " units); use a value within",
         ),
         ({"B": 1740}, "B = 1740 N s/m: beyond the limit -100..325 N s/m"),
         ({"K": -2000}, "K = -2000 N/m: beyond the limit -1000..19600 N/m"),
@@ -71,7 +71,7 @@ def test_value_beyond_is_refused_with_unit_limit_and_what_was_meant(
 
 def test_mass_that_is_no_number_of_grams_either_is_not_guessed() -> None:
     limits = CommandLimits.announced(servo(environment_limits(WEIR)))
-    assert "ask for a value inside" in limits.complaint("M", 9000.0)
+    assert "use a value within" in limits.complaint("M", 9000.0)
 
 
 def test_limit_itself_may_be_asked_for() -> None:

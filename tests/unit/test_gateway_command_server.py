@@ -172,7 +172,7 @@ def test_if_rev_compares_and_sets(rig: CommandServerRig) -> None:
     assert rig.ask(cmd="set", K=1, if_rev=0)["ok"]
     error = rig.ask(cmd="set", K=2, if_rev=0)["error"]
     assert error["code"] == "refused"
-    assert error["message"] == "if_rev = 0: the revision is 1; look at what changed and ask again"
+    assert error["message"] == "if_rev = 0: the revision is 1; check the change and ask again"
     replies = rig.send(packed(cmd="set", K=3), packed(cmd="set", K=4, if_rev=1))
     assert replies[0]["error"]["code"] == "busy"
 

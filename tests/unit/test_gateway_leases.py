@@ -553,7 +553,7 @@ def test_what_is_due_at_the_end_of_a_lease_is_not_posted_to_the_next_servo(
     rendering(rig, "environment", at_end)
     rig.servo.mailbox.close()
     rig.pass_time(500)
-    rig.server.leave(A)  # nobody is there to be told
+    rig.server.leave(A)  # no client is left
     rig.look()
     rig.servo = StandInServo(rig.folder, rig.clock)
     idle(rig, 0.5)

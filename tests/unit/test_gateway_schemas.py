@@ -62,7 +62,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
         "value",
         (
             "active damping = -0.1 N s/m: beyond the limit 0..2 N s/m (the device file sets it);"
-            " ask for a value inside"
+            " use a value within"
         ),
     ),
     (
@@ -70,7 +70,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
         "filters.velocity_hz",
         (
             "filters.velocity_hz = 451 Hz: beyond the limit 0.1..450 Hz (it is 0.45 of the servo"
-            " rate); ask for a value inside"
+            " rate); use a value within"
         ),
     ),
     (

@@ -37,7 +37,7 @@ RESTART = (
     "Signs are verified from the next start of the daemon: start it again, then `hapticd rig`."
 )
 NOT_VERIFIED = "The signs are not verified yet: repeat the refused steps with `hapticd rig`."
-DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to look at, and a trial."
+DONE = "The path is complete. Continue with `hapticd status`, docs/first-day.md and a trial."
 
 
 class Step(NamedTuple):

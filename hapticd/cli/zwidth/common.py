@@ -154,7 +154,7 @@ def keeping(kept: "store.TrialStore", folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
+def interruptible(kept: str = "no result of this run was stored") -> Iterator[None]:
     """On Ctrl-C (exit 130), print one line about kept results."""
     try:
         yield

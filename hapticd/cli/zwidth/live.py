@@ -77,11 +77,11 @@ def announce(
         )
     if trial.environment[0] == 0.0:
         terminal.talk(
-            "with K = 0 nothing holds the device in its travel; -K"
-            f" {watch.CENTRING_N_PER_M:g} would"
+            "with K = 0 no force keeps the device within its travel; use -K"
+            f" {watch.CENTRING_N_PER_M:g}"
         )
     if rig.model is None:
-        terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")
+        terminal.talk(f"there is no model of the device {rig.device!r}, so no prediction")
     if scene is not None and (rig.model is None or scene.device != rig.model.device):
         terminal.talk(
             f"scene {scene.name!r} is of the device {scene.device!r}, not of the daemon's: the"

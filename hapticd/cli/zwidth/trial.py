@@ -491,7 +491,7 @@ def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines")
         "sine phase deg",
         "noise phase",
     )
-    title = f"stepped sine of {sines.force_n:g} N rms beside the noise"
+    title = f"stepped sine of {sines.force_n:g} N rms, added to the noise"
     known_mm_per_s = moved_mm_per_s[np.isfinite(moved_mm_per_s)].tolist()
     return f"{table.text(table.table(columns, rows, title))}\n{_amplitudes(result, known_mm_per_s)}"
 

@@ -377,7 +377,7 @@ def _line(levels: Floats, shares: Floats) -> Finding:
         for level, share in zip(levels, shares, strict=True)
     )
     return checked(
-        f"levels beside the line: {told}",
+        f"levels that deviate from the line: {told}",
         bool((np.abs(shares - 1.0) <= BESIDE).all()),
         "is the multiplier offset or at its end? Keep limits.active_damping_ns_per_m where it is"
         " straight",

@@ -194,7 +194,7 @@ def _all_pushes(rig: Pushing, top: float) -> list[Finding]:
     """Push without damping, at a small count for its polarity, then level by level."""
     stimulus = _first_pushes(rig)
     if stimulus is None:
-        remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle go"
+        remedy = "no authority: check emergency stop, amplifier and motor, and release the handle"
         return [Finding(f"{rig.most_n:.3g} N do not move the handle", "refused", remedy)]
     polarity = _polarity(rig, stimulus, top)
     if polarity.verdict == "refused":
@@ -245,7 +245,7 @@ def _polarity(rig: Pushing, stimulus: Stimulus, top: float) -> Finding:
     return Finding(
         f"no damping is seen up to {TRIED[-1] * top:.3g} N s/m",
         "refused",
-        "look at the damping DAC, its multiplier and the back-EMF's leads",
+        "check the damping DAC, its multiplier and the back-EMF leads",
     )
 
 
@@ -297,7 +297,7 @@ def _pushed_at(rig: Pushing, known: Momentum, level: float) -> Finding | None:
     return Finding(
         f"{level:.3g} N s/m damp {share:.2g} of what they should",
         "warning",
-        "the line ends below: look at the damping circuit's range",
+        "the line saturates below that: check the range of the damping circuit",
     )
 
 

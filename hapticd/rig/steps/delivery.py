@@ -195,16 +195,16 @@ def _force(means: Means, servo: ServoParams) -> StepResult:
     found = least_squares(columns, means.motor_n, ones / counted_n, least=1.0)
     share = float(found.values[0])
     half = hypot(float(found.halves[0]), CALIBRATION * share)
-    value = Value.around("delivered force", share, "of what is commanded", half)
+    value = Value.around("delivered force", share, "of the commanded value", half)
     return _delivered(f"force: {share:.3g} of the command, by the current", value)
 
 
 def _delivered(what: str, value: Value, commanded: float = 1.0) -> StepResult:
     """Judge `value` by its interval relative to the commanded value."""
     enough = value.high / commanded >= LOW
-    remedy = "too much: look at the scales of current and force, and at the compensation"
+    remedy = "too high: check the scales of current and force, and the compensation"
     if not enough:
-        remedy = "too little: look at amplifier, supply and resistance compensation"
+        remedy = "too low: check amplifier, supply and resistance compensation"
     finding = checked(what, enough and value.low / commanded <= HIGH, remedy)
     return StepResult("audit", [value], [finding])
 
@@ -253,7 +253,7 @@ def _no_dac(bench: Client) -> Finding | None:
     if Capability.RESISTANCE & int(bench.status().servo.get("board", {}).get("capabilities", 0)):
         return None
     return Finding(
-        "the board has no resistance DAC: what is compensated is set on the board itself",
+        "the board has no resistance DAC: the compensation is set on the board itself",
         "not done",
         "`hapticd rig damping` measures the residual resistance without it",
     )

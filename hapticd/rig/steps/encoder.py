@@ -184,7 +184,7 @@ def _moving(moving: Floats, went: float) -> Finding:
         return Finding(
             f"the handle was moved, and the encoder went {went:g} counts",
             "refused",
-            "encoder stuck: look at its cable and supply, and whether the handle was moved",
+            "encoder stuck: check its cable and supply, and whether the handle was moved",
         )
     low = moving.astype(np.int64)
     dead = [bit for bit in range(LOW_BITS) if len(np.unique(low >> bit & 1)) == 1]
@@ -193,7 +193,7 @@ def _moving(moving: Floats, went: float) -> Finding:
     return Finding(
         f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead",
         "warning",
-        "look at the interpolator and the width of the counter",
+        "check the interpolator and the width of the counter",
     )
 
 

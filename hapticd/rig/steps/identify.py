@@ -225,9 +225,9 @@ _WORDS = {
     "linear": ("friction is Coulomb's and viscous", "{:.2g} % of it grows with the square of speed",
                "the model holds at the speeds of the trial alone"),
     "direction": ("friction is the same in both directions", "it differs by {:.2g} % of friction",
-                  "look at bearing and cable; the model has the mean of both"),
-    "pull": ("nothing pulls all the time", "{:.2g} % of friction pulls, or resists one way alone",
-             "lay the axis level, look at the cable, repeat `rig motor` for the offset"),
+                  "check bearing and cable; the model uses the mean of both"),
+    "pull": ("no constant force", "{:.2g} % of friction pulls, or resists one way alone",
+             "level the axis, check the cable, repeat `rig motor` for the offset"),
     "delay": ("the delay is constant", "it drifts by {:.2g} % of a period",
               "quiet the host (`hapticd doctor`) and repeat; the model has the mean"),
 }  # fmt: skip

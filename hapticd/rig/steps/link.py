@@ -73,12 +73,12 @@ USEFUL = {
 }
 REMEDIES = {
     "missing_in": "check cable, hub and the other devices on the bus",
-    "bad_in": "a damaged or short frame: look at cable and shield, and at the firmware's CRC",
+    "bad_in": "a damaged or short frame: check cable, shield and the firmware's CRC",
     "empty_in": "the firmware sends packets of zero length: send IN only when it is whole",
     "stale_in": "frames come twice: the firmware has to send each sample once",
     "behind_in": "frames wait in a queue: give the endpoint one buffer, the newest replaces",
-    "sequence_gap": "samples are skipped between board and host: look at the bus and its hub",
-    "write_errors": "OUT frames are not taken: look at the bus and the firmware's OUT endpoint",
+    "sequence_gap": "samples are lost between board and host: check the bus and its hub",
+    "write_errors": "OUT frames are not accepted: check the bus and the firmware's OUT endpoint",
     "lost_slots": "the host misses ticks: `hapticd doctor`",
 }
 RECORDED = ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
@@ -155,7 +155,7 @@ def drift_of(time_ns: Any, board_us: Any) -> Value:
 def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:
     known = {one.name: one for one in values}
     if "delay" not in known:
-        yield Finding("no frame came", "refused", "look at `hapticd status`: is a board there?")
+        yield Finding("no frame came", "refused", "see `hapticd status`: is a board connected?")
         return
     delay = known["delay"].value / period_us
     yield checked(
@@ -179,7 +179,7 @@ def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:
 
 def _frames(counted: Mapping[str, int], ticks: int) -> Iterator[Finding]:
     if not counted:
-        yield Finding("counters of frames", "not done", "this daemon tells none")
+        yield Finding("counters of frames", "not done", "this daemon does not report it")
         return
     for name, remedy in REMEDIES.items():
         count = counted.get(name, 0)
@@ -309,17 +309,17 @@ def _analyse_silences(silences: list[Silence], stated_s: float, period_s: float)
 
 
 WATCHDOG = "watchdog of the board"
-SAID = "as the board says; no force acted, so none was seen to end"
+SAID = "as reported by the board; no force was on, so the end of a force was not measured"
 
 
 def _time(value: Value, stated_ms: float, period_ms: float) -> Finding:
     what = f"{WATCHDOG}: trips after {value.low:.4g} to {value.high:.4g} ms without frames, {SAID}"
     if not value.low - period_ms <= stated_ms <= value.high + period_ms:
-        return Finding(what, "warning", f"its hello says {stated_ms:g} ms; correct the firmware")
+        return Finding(what, "warning", f"its hello has {stated_ms:g} ms; correct the firmware")
     return checked(
         what,
         stated_ms <= SLOW_MS,
-        "so long the last force acts after a host has died: 20 ms is usual",
+        "the last force continues this long after a host has died: 20 ms is usual",
     )
 
 

@@ -189,7 +189,7 @@ def _pushed(one: Push) -> Finding:
     return checked(
         f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm",
         abs(one.moved_m) >= MOVED_M,
-        "no authority: look at emergency stop, amplifier and motor, and let the handle free",
+        "no authority: check emergency stop, amplifier and motor, and release the handle",
         "refused",
     )
 
@@ -288,7 +288,7 @@ def analyse(
 def straight(found: Fit, readings: Floats, of: str, remedy: str) -> Finding:
     """Check that the `readings` (n,) lie on the line `found`; `of` names their span."""
     share = float(np.abs(found.residuals).max() / np.ptp(readings))
-    what = f"the worst reading lies {percent(share)} of the {of} beside the line"
+    what = f"the largest residual is {percent(share)} of the {of}"
     return checked(what, share <= MOST_RESIDUAL, remedy, "refused")
 
 
@@ -335,6 +335,6 @@ def believable(scale: float) -> Finding:
     return checked(
         f"a commanded newton is {scale:.4g} N",
         1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION,
-        "are the masses in kg, the radii and the side right? Else correct force.full_scale_n",
+        "are the masses in kg, the radii and the side correct? If not, correct force.full_scale_n",
         "refused",
     )

@@ -231,11 +231,11 @@ def channels(bare: Lines) -> list[Finding]:
     if followed and not moved:
         remedy = "stuck encoder: the velocity channel moves without it"
     elif torque < LEAST_COUNTS:
-        remedy = "dead probe channel: no torque; look at the probe's amplifier and at this input"
+        remedy = "dead probe channel: no torque; check the probe's amplifier and this input"
     elif not moved:
-        remedy = "the probe does not move the handle: let it free, look at the probe's motor"
+        remedy = "the probe does not move the handle: release it, check the probe's motor"
     elif not followed:
-        remedy = "dead probe channel: no velocity; look at its coil, amplifier and this input"
+        remedy = "dead probe channel: no velocity; check its coil, amplifier and this input"
     else:
         return [Finding(seen, "ok"), _in_place(bare)]
     return [Finding(seen, "refused", remedy)]
@@ -247,8 +247,8 @@ def _in_place(bare: Lines) -> Finding:
     right = (alike(bare.torque, played, PERIOD_S), alike(bare.velocity, speed, LATEST_S))
     wrong = (alike(bare.velocity, played, PERIOD_S), alike(bare.torque, speed, LATEST_S))
     what = (
-        f"torque follows what is played by {100 * right[0]:.3g} %, velocity the encoder by"
-        f" {100 * right[1]:.3g} %"
+        f"torque agrees with the played signal to {100 * right[0]:.3g} %, velocity with the"
+        f" encoder to {100 * right[1]:.3g} %"
     )
     if min(wrong) > max(min(right), LEAST_COHERENT):
         return Finding(
@@ -259,7 +259,7 @@ def _in_place(bare: Lines) -> Finding:
     return checked(
         what,
         min(right) >= LEAST_COHERENT,
-        "let the handle free; look at what fixes the probe to it, and at both channels",
+        "release the handle; check the probe's mounting and both channels",
         "refused",
     )
 
@@ -285,12 +285,12 @@ def _weighed(found: Added) -> Iterator[Finding]:
     yield checked(
         f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
         found.left <= MOST_LEFT,
-        "fix the mass so that nothing rattles, and keep hands and table still",
+        "fix the mass so that it does not rattle, and keep hands and table still",
     )
     relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
         yield Finding(
-            f"the mass tells the force to {percent(relative)} alone",
+            f"the mass alone determines the force to {percent(relative)}",
             "refused",
             "was it fixed? Repeat it, or take a heavier one",
         )

@@ -124,7 +124,7 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     from either side. CommandError unless disabled; AnalysisError if the signs are not verified.
     """
     servo = begin_step(bench, "the offset is measured")
-    ask(Request("let go", "let go of the handle, with nothing hanging from it"))
+    ask(Request("let go", "release the handle, with no mass attached"))
     drawn_n = DRAWN_SHARE * limit_n(servo)
     with under_force(bench):
         bench.set(K=HELD_N_PER_M, ramp_s=1.0)

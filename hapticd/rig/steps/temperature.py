@@ -138,9 +138,9 @@ def analyse(readings: Floats, stated: KnownTemperatures, device: Mapping[str, An
 
 def _living(readings: Floats) -> Finding:
     means = readings.mean(axis=1)
-    what = f"the sensor says {', '.join(f'{mean:.1f}' for mean in means)} counts"
+    what = f"the sensor reads {', '.join(f'{mean:.1f}' for mean in means)} counts"
     if means.min() <= I16_LOWEST + 1 or means.max() >= I16_HIGHEST - 1:
-        remedy = "the end of its converter: the sensor is open or shorted; look at its wires"
+        remedy = "the end of its converter range: the sensor is open or shorted; check its wires"
         return Finding(what, "refused", remedy)
     follows = len(means) != 2 or abs(means[1] - means[0]) >= LEAST_COUNTS
     return checked(what, follows, "stuck sensor: it does not follow the temperature", "refused")
@@ -190,7 +190,7 @@ def _plausible(
         )
     if abs(away_c) > FAR_OFF_C and not slopes:
         return Finding(
-            what, "refused", "look at the kind of sensor and its scale, or state two temperatures"
+            what, "refused", "check the type of sensor and its scale, or enter two temperatures"
         )
     return checked(
         what, abs(away_c) <= MOST_OFF_C, "the device file gets the count that means 0 degC"

@@ -322,7 +322,7 @@ def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
 def _late(counts: Mapping[str, int], ticks: int) -> Finding:
     """Check late ticks and lost slots in `ticks`."""
     if not counts:
-        return Finding("timing: late ticks and lost slots", "not done", "this daemon tells none")
+        return Finding("timing: late ticks and lost slots", "not done", "this daemon reports none")
     told = " and ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
     rare = sum(counts.values()) <= RARE * ticks
     return checked(f"timing: {told} in {ticks} ticks", rare, "quiet the host: `hapticd doctor`")
@@ -331,7 +331,7 @@ def _late(counts: Mapping[str, int], ticks: int) -> Finding:
 def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
     """Check the delay from sample to force, and its variation."""
     if not delays_us.size:
-        return Finding("timing: from sample to force", "not done", "the board tells no ages")
+        return Finding("timing: from sample to force", "not done", "the board reports no ages")
     low, middle, high = np.quantile(delays_us * rendering.rate_hz / US_PER_S, (0.005, 0.5, 0.995))
     return checked(
         f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}",

@@ -262,7 +262,7 @@ def _followed(counts: Floats, speed: Floats, per_speed: float) -> Finding:
     if fast < LEAST_M_PER_S:
         return Finding(what, "refused", "the handle was not shaken: by some mm, and repeat")
     if counts.std() < LEAST_COUNTS:
-        return Finding(what, "refused", "dead back-EMF channel: look at its amplifier and input")
+        return Finding(what, "refused", "dead back-EMF channel: check its amplifier and input")
     return checked(
         what,
         share >= LEAST_COHERENT,

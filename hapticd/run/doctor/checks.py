@@ -139,7 +139,7 @@ KERNEL = (  # timekeeping, scheduling, interrupts and swap
         "tickless",
         probes.tickless,
         WARN,
-        "the scheduler interrupts the servo's core even when nothing runs there",
+        "the scheduler interrupts the servo's core even if it is idle",
         "remove nohz=off from the kernel command line, or boot one with CONFIG_NO_HZ_IDLE=y",
     ),
     Check(
@@ -185,7 +185,7 @@ KERNEL = (  # timekeeping, scheduling, interrupts and swap
     Check("load", probes.load, WARN, NO_RIGHTS, "close other programs while the device is enabled"),
 )
 USB = (  # presence, permission and power of the board
-    Check("USB board", probes.board, FAIL, "the servo waits for it and renders nothing"),
+    Check("USB board", probes.board, FAIL, "the servo waits for it and renders no force"),
     Check("USB hub", probes.hub, WARN, BEHIND_HUB, "use a root port"),
     Check(
         "USB permission",

@@ -30,7 +30,7 @@ ADVICE = {  # causes of late ticks, and remedies
     ),
     LateCause.TRANSFER: (
         "a transfer took long, one after the other",
-        "set usb.in_flight = true, which also tells the parts of a transfer apart",
+        "set usb.in_flight = true, which also separates the parts of a transfer",
     ),
     LateCause.STEP: ("computing the force took long", OWN),
     LateCause.PUBLISH: ("what follows the frame took long", OWN),

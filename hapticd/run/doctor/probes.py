@@ -59,7 +59,7 @@ def group(machine: Machine, asked: Requirements) -> str | Flaw:
         return f"member of {GROUP}"
     if any(line.startswith(f"{GROUP}:") for line in machine.lines("etc/group")):
         return Flaw(f"not a member of {GROUP}")
-    return Flaw(f"there is no group {GROUP}", f"{INSTALL} && sudo systemd-sysusers; {JOIN}")
+    return Flaw(f"the group {GROUP} does not exist", f"{INSTALL} && sudo systemd-sysusers; {JOIN}")
 
 
 def rtprio(machine: Machine, asked: Requirements) -> str | Flaw:
@@ -351,7 +351,7 @@ def load(machine: Machine, asked: Requirements) -> str | Flaw:
 
 RULES = ("etc/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d", "run/udev/rules.d")
 SIMULATED = "the configured board is simulated"
-ABSENT = "no board to look at"
+ABSENT = "no board to check"
 
 
 def board_path(machine: Machine, asked: Requirements) -> Path | None:

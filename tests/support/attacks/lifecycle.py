@@ -79,7 +79,7 @@ ATTACKS = (
     ),
     Attack(
         "measuring-lease",
-        "a change scheduled while nothing is judged, under the lease of measuring, which then ends",
+        "a change scheduled without a verdict, under a measuring lease, which then ends",
         "it does not come into force under a strict policy",
         {"end": ("release", "leave", NOTHING), "sent": ("apart", "together"), "worker": WORKER},
         lifecycle_requests.measuring_lease,
@@ -100,8 +100,8 @@ ATTACKS = (
     ),
     Attack(
         "gateway-beside-servo",
-        "changes asked of a strict gateway that has just started beside a running servo",
-        "nothing comes into force before it has read 500 records",
+        "changes requested from a strict gateway just started with a running servo",
+        "no change comes into force before it has read 500 records",
         {"what": ("enable", "push", "damping"), "worker": WORKER},
         lifecycle_requests.gateway_beside_servo,
     ),
@@ -115,7 +115,7 @@ ATTACKS = (
     ),
     Attack(
         "client-numbers",
-        "the first client of a new gateway meets what the first one of the former left",
+        "the first client of a new gateway meets the remains of the first client of the former",
         "another's schedule, or stop, is not its own",
         {"left": ("schedule", "stop", NOTHING), "worker": WORKER, "policy": ("warn", "refuse")},
         lifecycle_servo.client_numbers,

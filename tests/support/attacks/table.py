@@ -42,7 +42,7 @@ ROWS = (
     Row(
         "frames",
         "IN frames with wrong bits, fields, CRC and length, noise, repeats, through link and wire",
-        "taken or refused as the definition of the CRC and of the fields says, told apart by numpy",
+        "accepted or refused by the definition of the CRC and of the fields, as computed by numpy",
         "frames that are broken and were taken, or whole and called broken",
         "frames",
         10_000_000,
@@ -64,7 +64,7 @@ ROWS = (
     Row(
         "hdf5",
         "recordings with bits flipped and ends cut, live ones packed, finished ones read",
-        "read or refused by one HapticdError; of source and copy one is there, unchanged",
+        "read or refused by one HapticdError; source or copy exists, unchanged",
         "files that end in another error, a crash, or no answer within 60 s",
         "files",
         10_000,
@@ -126,7 +126,7 @@ ROWS = (
     Row(
         "late-ticks",
         "floods, storms and crowds, in turns with processes that burn the same CPU",
-        "no more late ticks than beside those that only burn (Fisher's exact test, p >= 0.01)",
+        "no more late ticks than with processes that burn CPU (Fisher's exact test, p >= 0.01)",
         "late ticks, by the servo's own slots",
         "seconds",
         120,
@@ -137,7 +137,7 @@ ROWS = (
         "signals",
         "SIGSTOP, SIGKILL, SIGSEGV to servo, gateway, guard, page, supervisor, while enabled; a"
         " supervisor that died is started again",
-        "all are there again; a new servo is disabled; force never comes back by itself",
+        "all run again; a new servo is disabled; force never returns by itself",
         "signals after which force came back, a process stayed away, or a fault was missing",
         "signals",
         140,
@@ -148,7 +148,7 @@ ROWS = (
         "runtime-folder",
         "a runtime folder that is missing, read-only, a file, a link, open to others",
         "made, or refused by one error that names it",
-        "starts that were not refused, or by something else",
+        "starts that were not refused, or refused by another error",
         "starts",
         50,
         3,
@@ -157,8 +157,8 @@ ROWS = (
     Row(
         "disk",
         "no room for the rings, for a flight recording, for a recording",
-        "one error that says so; a daemon that runs goes on",
-        "daemons or recorders that end otherwise, or do not tell",
+        "one error that names it; a running daemon continues",
+        "daemons or recorders that end otherwise, or without a message",
         "full disks",
         30,
         2,
@@ -167,7 +167,7 @@ ROWS = (
     Row(
         "memory",
         "gateway, guard or servo get no more memory, and are asked for what needs it",
-        "the servo stays; who ends is there again; STOP works",
+        "the servo continues; an ended process is restarted; STOP works",
         "servos that ended, daemons that do not answer",
         "limits",
         60,
@@ -186,8 +186,8 @@ ROWS = (
     ),
     Row(
         "local-user",
-        "another user opens, connects to and removes what it can, and floods the telemetry port",
-        "it gets in nowhere, and nothing is lost",
+        "another user opens, connects to and removes all it can, and floods the telemetry port",
+        "it gets no access, and no data is lost",
         "names that it reached; daemons that suffered",
         "rounds",
         50,
