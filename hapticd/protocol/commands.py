@@ -397,6 +397,6 @@ def _check_revision(request: Change, situation: Situation) -> None:
     if request.if_rev != situation.view.revision:
         raise CommandError(
             "refused",
-            f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; look at what"
-            " changed and ask again",
+            f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; check the"
+            " change and ask again",
         )

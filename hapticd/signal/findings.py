@@ -161,8 +161,8 @@ def examine(
     same_length(force_n, velocity_m_per_s)
     if force_n.size < 2 * rate_hz:
         raise AnalysisError(
-            f"record of {force_n.size / rate_hz:.3g} s: at least 2 s are needed to tell noise from"
-            " drift"
+            f"record of {force_n.size / rate_hz:.3g} s: at least 2 s are needed to separate noise"
+            " from drift"
         )
     force = detrended(force_n)
     velocity = detrended(velocity_m_per_s)

@@ -58,7 +58,7 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
         (
             ["--active-damping", "500"],
             2,
-            r"active_damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; ask for",
+            r"active_damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; use a value",
         ),
         (
             ["-K", "10", "--psd", "0.01"],
@@ -308,7 +308,7 @@ def test_help_says_what_live_does(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     _, out, _ = run(["trial", "--help"], capsys)
     said = " ".join(out.replace("│", " ").split())
-    assert "live: the daemon's device, ENABLED by this" in said
+    assert "live: the daemon's device, which this ENABLES" in said
     assert "live without --scene they are 0" in said
     assert (
         "`live` enables the daemon's device by itself, says so, shakes it, and disables it at the"

@@ -116,7 +116,7 @@ def test_a_lease_excludes_others_until_the_context_ends() -> None:
 def test_a_lease_that_was_taken_over_is_told_at_its_end() -> None:
     async def ask() -> None:
         async with client() as device, AsyncClient(name="other", timeout_s=10.0) as other:
-            with pytest.raises(CommandError, match="was not excluded"):
+            with pytest.raises(CommandError, match="were not excluded"):
                 async with device.lease("environment", ttl_s=5.0):
                     await other.call("lease", what="environment", take_over=True)
 

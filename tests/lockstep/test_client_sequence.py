@@ -185,7 +185,7 @@ def test_force_that_waits_for_its_damping_comes_on_and_the_sequence_goes_on(
     [
         (step("set", active_damping=9), r"step 2: active_damping = 9 N s/m: .*limit 0\.\.2 N s/m"),
         (step("set", k=9), "step 2: k: unknown field, did you mean 'K'"),
-        (step("dance"), "step 2: 'dance' is no step of a sequence"),
+        (step("dance"), "step 2: 'dance' is not a step of a sequence"),
         (step("perturb", action="load", samples_n=[0.0]), "step 2: .* `perturb_load`"),
         (
             step("perturb", action="start"),
@@ -280,7 +280,7 @@ def test_a_scheduled_step_that_is_cancelled_did_not_act(script: Script) -> None:
 
     taken: list[Any] = []
     script.before = lease
-    with pytest.raises(SequenceError, match="somebody else's lease came first") as caught:
+    with pytest.raises(SequenceError, match="the lease of another client came first") as caught:
         script.run(step("set", K=1), step("set", K=2, after_s=0.4), step("set", K=3, after_s=0.4))
     assert taken[0]["ok"]
     assert [one.result for one in caught.value.receipts] == ["applied", "cancelled", "not sent"]

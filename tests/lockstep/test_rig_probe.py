@@ -132,7 +132,7 @@ def test_a_mass_typed_ten_times_wrong_is_refused():
         ({"torque": np.full(16_000, 3.0)}, "no torque"),
         ({"position_m": np.zeros(4_000)}, "stuck encoder"),
         ({"position_m": np.zeros(4_000), "velocity": np.zeros(16_000)}, "does not move the handle"),
-        ({"velocity": np.random.default_rng(0).normal(0.0, 500.0, 16_000)}, "let the handle free"),
+        ({"velocity": np.random.default_rng(0).normal(0.0, 500.0, 16_000)}, "release the handle"),
     ],
 )
 def test_a_channel_that_tells_nothing_is_refused_by_name(changes, name):

@@ -77,7 +77,7 @@ def test_two_temperatures_give_the_scale_and_its_sign(per_count):
         (np.full((1, TICKS), 32767.0), (20.0,), "open or shorted"),
         (np.full((1, TICKS), -32768.0), (20.0,), "open or shorted"),
         (counts(20.0, 20.0), (20.0, 50.0), "stuck sensor"),
-        (counts(80.0), (20.0,), "kind of sensor"),
+        (counts(80.0), (20.0,), "type of sensor"),
         (counts(20.0, 320.0), (20.0, 50.0), "in degC"),
     ],
 )
@@ -119,7 +119,7 @@ def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
     [
         (shaken(size_m=1e-5), "not shaken"),
         (shaken(gain=1e6, noise=0.0), "dead back-EMF"),
-        (shaken(noise=3000.0), "no velocity"),
+        (shaken(noise=3000.0), "not a velocity"),
         (shaken(gain=10.0, noise=0.5), "full_scale_m_per_s"),
     ],
 )

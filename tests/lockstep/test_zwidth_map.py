@@ -250,7 +250,7 @@ def test_portable_summary_belongs_to_its_device_file(tmp_path):
     with pytest.raises(ConfigError, match="version 9 of a Z-width summary; this program reads 1"):
         read_portable(path)
     path.write_text("nothing")
-    with pytest.raises(ConfigError, match="no Z-width summary"):
+    with pytest.raises(ConfigError, match="not a Z-width summary"):
         read_portable(path)
 
 

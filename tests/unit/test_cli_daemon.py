@@ -699,7 +699,7 @@ def test_leases_are_shown_with_holder_and_time(
     assert json.loads(capsys.readouterr().out) == {"ok": True, "leases": HELD}
     client.states = [{"leases": {}}]
     assert main(["lease", "show"]) == 0
-    assert capsys.readouterr().out.startswith("nobody holds a lease")
+    assert capsys.readouterr().out.startswith("no client holds a lease")
 
 
 class LeaseDouble:

@@ -505,8 +505,8 @@ def test_sample_beyond_limit_is_named(rig: CommandServerRig, bad: float) -> None
         {
             "loc": "samples_n.5",
             "msg": (
-                f"samples_n[5] = {bad} N: beyond the limit -1..1 N (the device file sets it); ask"
-                " for a value inside"
+                f"samples_n[5] = {bad} N: beyond the limit -1..1 N (the device file sets it); use"
+                " a value within"
             ),
             "value": pytest.approx(bad, rel=1e-6),
             "unit": "N",

@@ -45,16 +45,16 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
         {"cmd": "set", "K": 2e5},
         "K",
         (
-            "K = 200000 N/m: beyond the limit -10000..100000 N/m (it is fixed in this version); ask"
-            " for a value inside"
+            "K = 200000 N/m: beyond the limit -10000..100000 N/m (it is fixed in this version); use"
+            " a value within"
         ),
     ),
     (
         {"cmd": "set", "active_damping": 2.5},
         "active_damping",
         (
-            "active_damping = 2.5 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask"
-            " for a value inside"
+            "active_damping = 2.5 N s/m: beyond the limit 0..2 N s/m (the device file sets it); use"
+            " a value within"
         ),
     ),
     (

@@ -356,7 +356,10 @@ def test_address_that_is_taken_is_named(
     ("text", "reason"),
     [
         ('device = "example-board"\n', "not a simulated device"),
-        ("[simulation]\nboot_loader_s = 2.0\n", "simulation.boot_loader_s is of the bus within"),
+        (
+            "[simulation]\nboot_loader_s = 2.0\n",
+            "simulation.boot_loader_s applies to the bus within",
+        ),
     ],
 )
 def test_board_that_cannot_stand_at_a_true_bus_is_refused(

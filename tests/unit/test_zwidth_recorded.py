@@ -246,9 +246,9 @@ NOISE = np.random.default_rng(2).normal(size=(2, 20_000))
             {"fs": [], "time": np.arange(19_995) / 4000.0},
             "column time has 19995 values, the force 20000",
         ),
-        ({"trial": "junk"}, "no longer whole"),
-        ({"trial": '{"environment": 3, "simulated": 1}'}, "no longer whole"),
-        ({"trial": [1, 2, 3]}, "no longer whole"),
+        ({"trial": "junk"}, "it is damaged"),
+        ({"trial": '{"environment": 3, "simulated": 1}'}, "it is damaged"),
+        ({"trial": [1, 2, 3]}, "it is damaged"),
     ],
 )
 def test_file_that_was_tampered_with_is_refused_in_words(changed, said, tmp_path):
