@@ -1,7 +1,8 @@
 """The tick law: the force of a virtual environment at a position. Standard library only.
 
 law render: one tick of the law, compiled by the batch engine too; design_coefficients filters
-second-order low-pass filters for velocity and acceleration ramp Ramp: a parameter on its way from
+second-order low-pass filters for velocity and acceleration parts parts of a law of
+the batch engine: FOAW, Levant, PO/PC ramp Ramp: a parameter on its way from
 one value to the next; approach energy book: a ledger of the work of each part of the force winding
 the range of the winding's temperature, and the part of its resistance to compensate
 """
