@@ -11,5 +11,7 @@ plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers.
                 active damping that is stable; compare_integrators: explicit methods on its device
     remedies    RemediesParams, run_remedies: what widens the passive set of which device, and at
                 what price
+    port_energy run_port_energy: the same by the energy given out in passive hands, also of laws
+                that are not linear
     report      figures and tables of these
 """
