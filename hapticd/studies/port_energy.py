@@ -23,7 +23,7 @@ slow that it does not show within SECONDS.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from math import inf, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,7 @@ HOPEFUL = 4  # values of B that are searched further
 VARIED = 0.5  # sd of a logarithm
 STIFFNESS = np.geomspace(0.25, 32.0, 12)  # over the first row's by the theorem
 VIRTUAL_DAMPING = np.array([0.0, *np.geomspace(0.5, 128.0, 9)])  # over the first row's
+LEAST_DAMPING = 0.05  # of K T, where the first row's best B is less
 FINER = np.geomspace(0.5, 1.1, 32)  # over the K to be improved
 ACCELERATIONS = np.array([1.0, 0.25, 4.0])  # C of Levant over that of the push
 FOAW = "FOAW"
@@ -165,7 +166,8 @@ def first_failures(scene: Scene, parts: Parts, hands: Floats, k: Floats, b: Floa
 def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
     """On the coarse grid over the first row's K and B, in the hands that all share."""
     hands = np.random.default_rng(1).uniform(LEAST, MOST, (HANDS[quick], LEAST.size))
-    b = VIRTUAL_DAMPING * first.virtual_damping_ns_per_m
+    least = LEAST_DAMPING * first.stiffness_n_per_m / first.rate_hz
+    b = VIRTUAL_DAMPING * max(first.virtual_damping_ns_per_m, least)
     k = STIFFNESS * first.stiffness_n_per_m
     failed = first_failures(scene, parts, hands, k, b)
     # many fail at the same K of a coarse grid: then the one with which more hands get farther
@@ -234,15 +236,15 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
 def run_port_energy(
     params: RemediesParams, rows: Sequence[Row], store: TrialStore, tell: Progress = silent
 ) -> tuple[EnergyRow, ...]:
-    """For devices in `rows`, remedies that are there and those that are not linear; what the store
-    has is not done again. ConfigError as `compose` and `simulate`.
+    """For devices in `rows` that render some K, remedies that are there and those that are not
+    linear; what the store has is not done again. ConfigError as `compose` and `simulate`.
     """
     known = {(row.device, row.remedy): row for row in rows}
     asked = [
         (name, scene, known[scene.name, AS_IT_IS], known[scene.name, base])
         for scene in params.scenes
         for name, base in BASES.items()
-        if (scene.name, base) in known
+        if (scene.name, base) in known and isfinite(known[scene.name, AS_IT_IS].stiffness_n_per_m)
     ]
     steps = Steps(tell, len(asked))
     found = []
