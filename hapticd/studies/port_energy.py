@@ -55,8 +55,8 @@ GIVEN_J = 1e-5  # beyond rounding and what the record books too small
 # the two, spring and damper to the ground
 LEAST = np.log([1e-5, 1e-4, 10.0, 1e-3, 1.0, 1e-3])
 MOST = np.log([1.0, 3.0, 1e5, 100.0, 1e5, 100.0])
-HANDS = (24, 8)  # drawn; with --quick
-CHILDREN = (12, 6)  # of the worst hands, in each round
+HANDS = (24, 6)  # drawn; with --quick
+CHILDREN = (12, 4)  # of the worst hands, in each round
 ROUNDS = (2, 1)
 PARENTS = 4
 HOPEFUL = 4  # values of B that are searched further
