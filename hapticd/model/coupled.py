@@ -11,7 +11,8 @@ one difference). This alone makes Re Z_h(s) >= 0 for every s with Re s > 0, so a
 positive real: passive by construction (Brune 1931), from a fingertip to a tree of resonators
 without loss. A node may be without a mass if a damper holds it, as in a Maxwell arm. `held_by`
 attaches the hand to the rotor of a composed device exactly, so that the eigenvalues of its sampled
-loop can be computed.
+loop can be computed. `at_port` also records the port between the two, so that the work of a trial
+is the energy that flows from the hand into the display.
 
 Stability (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
@@ -53,7 +54,7 @@ from hapticd.model.model import Model, Output, Outputs
 from hapticd.model.predict import environments
 from hapticd.model.theorem import LiftedSystem, lifted_system
 
-__all__ = ["Hand", "coupled_radius", "shaking_hand"]
+__all__ = ["Hand", "at_port", "coupled_radius", "shaking_hand"]
 
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
@@ -152,6 +153,45 @@ def held_by(model: Model, hand: Hand) -> Model:
         b1=_wider(model.b1, size, width, rotor, share),
         outputs=_seen(model.outputs, size),
         winding=None,
+    )
+
+
+def at_port(model: Model, hand: Hand) -> Model:
+    """`held_by`, with a record of the port: the true velocity of the probe, and all force on the
+    display, that of the hand and what pushes hand and display there.
+
+    The hand's force is what its momentum does not gain and the ground does not take: the record
+    holds its integral, - sum (m v + d x + k (integral of x)), with d and k what holds each node to
+    the ground. The integral of the springs to the ground is a state of its own.
+    """
+    held = held_by(model, hand)
+    size = len(held.states)
+    nodes = hand.mass_kg.size
+    heavy = np.flatnonzero(hand.mass_kg[1:]) + 1
+    first = len(model.states)
+    positions = [int(np.argmax(held.outputs.position.c0)), *range(first, first + nodes - 1)]
+    velocities = [int(np.argmax(held.outputs.velocity.c0)), *range(first + nodes - 1, size)]
+    a0 = np.pad(held.a0, (0, 1))
+    a0[size, positions] = hand.stiffness_n_per_m.sum(axis=0)
+    impulse = np.zeros(size + 1)
+    impulse[size] = -1.0
+    impulse[positions] -= hand.damping_ns_per_m.sum(axis=0)
+    impulse[velocities] -= hand.mass_kg[[0, *heavy]]
+    outputs = _seen(held.outputs, size + 1)
+    none = np.zeros(held.inputs.width)
+    return replace(
+        held,
+        states=(*held.states, StateVariable("hand_ground_impulse", "N s", "hand")),
+        a0=a0,
+        a1=np.pad(held.a1, (0, 1)),
+        b0=np.pad(held.b0, ((0, 1), (0, 0))),
+        b1=np.pad(held.b1, ((0, 1), (0, 0))),
+        outputs=replace(
+            outputs,
+            recorded_travel=outputs.position,
+            recorded_velocity=outputs.velocity,
+            recorded_impulse=Output(impulse, np.zeros(size + 1), none, none),
+        ),
     )
 
 

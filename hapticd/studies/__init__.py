@@ -12,5 +12,7 @@ request, `run_...` simulates and returns numbers.
                 active damping that is stable; compare_integrators: explicit methods on its device
     remedies    RemediesParams, run_remedies: remedies that widen the passive set of a device, and
                 their price
+    port_energy run_port_energy: the same by the energy given out in passive hands, also for laws
+                that are not linear
     report      figures and tables of these
 """

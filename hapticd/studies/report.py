@@ -23,6 +23,7 @@ from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.studies.effects import EffectsResult, LeftOut
+from hapticd.studies.port_energy import SECONDS, EnergyRow
 from hapticd.studies.remedies import RENDERED_HZ, Row
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.report.paper import legends
@@ -69,6 +70,7 @@ __all__ = [
     "explained",
     "impedance_rows",
     "integrators_figure",
+    "port_energy_table",
     "remedies_table",
     "scene_figure",
     "scene_table",
@@ -739,3 +741,20 @@ def _remedy_cells(row: Row) -> list[Cell]:
         1e3 * row.noise_n,
         *known,
     ]
+
+
+def port_energy_table(rows: Sequence[EnergyRow]) -> Table:
+    """Every device with every remedy that is judged by the energy at its port."""
+    columns = [
+        "device", "remedy", "its number", "best B", "K in every hand", "K asked",
+        f"given out in {SECONDS:g} s mJ", "diverged",
+    ]  # fmt: skip
+    cells = (
+        [
+            row.device, row.remedy, row.number, row.virtual_damping_ns_per_m,
+            row.stiffness_n_per_m, row.asked_n_per_m, 1e3 * row.given_out_j,
+            "yes" if row.diverged else "no",
+        ]
+        for row in rows
+    )  # fmt: skip
+    return table(columns, cells)

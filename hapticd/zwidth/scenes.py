@@ -33,6 +33,7 @@ from hapticd.settings.toml import Document, read, shipped
 from hapticd.signal.spectra import DEFAULT_LAG
 
 __all__ = [
+    "NOISE",
     "SUBSTEPS",
     "Display",
     "candidates",

@@ -27,6 +27,7 @@ FOUND_BY_BASE = {"Effect"}
 
 ALLOWED = {
     "usb.frames.CRC_POLYNOMIAL": "every constant of the C header has its twin",
+    "zwidth.engine.compiled.compiled_part": "named in the text of a kernel",
     "zwidth.engine.compiled.law_f32": "named in the text of a kernel, with its type",
     "zwidth.engine.compiled.law_f64": "named in the text of a kernel, with its type",
 }

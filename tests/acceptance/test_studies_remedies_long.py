@@ -11,7 +11,7 @@ from support.cli_sim import MINE, spoken
 from test_studies_remedies import AS_IT_IS, PHYSICAL_NS_PER_M, rigid, row, rows
 
 from hapticd.settings.scene import load_scene
-from hapticd.studies import remedies
+from hapticd.studies import port_energy, remedies
 from hapticd.studies.remedies import (
     REMEDIES,
     SCENES,
@@ -67,17 +67,23 @@ def test_verb_prints_keeps_and_returns_the_rows(
 ) -> None:
     few = partial(RemediesParams, remedies=REMEDIES[:3])
     monkeypatch.setattr(remedies, "RemediesParams", few)
+    monkeypatch.setattr(port_energy, "BASES", {"as it is": "as it is"})
+    monkeypatch.setattr(port_energy, "HANDS", (4, 4))
+    monkeypatch.setattr(port_energy, "CHILDREN", (2, 2))
     mine = tmp_path / "mine.toml"
     mine.write_text(MINE)
     words = ("studies", "remedies", str(mine), "--quick", "--out", str(tmp_path / "run"))
     code, out, _ = spoken(capsys, *words)
     assert code == 0
-    for expected in ("K at B = 0", "as it is", "best corner", "2 x rate", "4,000"):
+    for expected in ("K at B = 0", "as it is", "best corner", "2 x rate", "K in every hand"):
         assert expected in out
     code, out, _ = spoken(capsys, *words, "--json")
     told = json.loads(out)
     assert (code, told["ok"], told["simulated"], told["quick"]) == (0, True, True, True)
     assert [one["remedy"] for one in told["rows"]] == ["as it is", "best corner", "2 x rate"]
     assert told["rows"][0]["trials"] is None
+    (energy,) = told["energy"]
+    assert energy["remedy"] == "as it is"
+    assert energy["asked_n_per_m"] == 2.0 * told["rows"][0]["stiffness_n_per_m"]
     kept = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert kept["rows"] == told["rows"]
+    assert (kept["rows"], kept["energy"]) == (told["rows"], told["energy"])

@@ -309,9 +309,9 @@ def test_help_says_what_live_does(capsys, monkeypatch):
     _, out, _ = run(["trial", "--help"], capsys)
     said = " ".join(out.replace("│", " ").split())
     assert "live: the daemon's device, which this ENABLES" in said
-    assert "live without --scene they are 0" in said
+    assert "live uses 0" in said
     assert (
-        "`live` enables the daemon's device by itself, says so, shakes it, and disables it at the"
+        "`live` enables the device of the daemon, announces it, drives it, and disables it at the"
         " end and on Ctrl-C" in said
     )
 

@@ -4,10 +4,12 @@ import importlib
 import json
 from types import ModuleType
 
+import numpy as np
 import pytest
 from support.tree import ROOT
 
 from hapticd.settings.scene import load_scene
+from hapticd.studies import port_energy
 from hapticd.studies.remedies import (
     REMEDIES,
     SCENES,
@@ -28,7 +30,7 @@ def remedies(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_page_has_the_tables_of_the_kept_rows(remedies: ModuleType) -> None:
     page = PAGE.read_text()
-    assert remedies.filled(page, remedies.kept()) == page
+    assert remedies.filled(page, remedies.kept(), remedies.kept("energy")) == page
 
 
 def test_kept_rows_are_every_remedy_on_every_device(remedies: ModuleType) -> None:
@@ -49,3 +51,21 @@ def test_kept_stiffness_is_that_of_the_theorem(remedies: ModuleType, place: int)
     ):
         if kept is not None:
             assert largest_stiffness(passive, b) == pytest.approx(kept, rel=1e-6)
+
+
+def test_kept_energies_are_every_remedy_that_is_judged_by_them(remedies: ModuleType) -> None:
+    found = [(row["device"], row["remedy"]) for row in remedies.kept("energy")]
+    assert found == [(name, remedy) for name in SCENES for remedy in port_energy.BASES]
+
+
+def test_no_drawn_hand_gets_too_much_at_a_kept_stiffness(remedies: ModuleType) -> None:
+    row = next(one for one in remedies.kept("energy") if one["device"] == "light")
+    assert row["remedy"] == REMEDIES[0].name
+    hands = np.random.default_rng(1).uniform(
+        port_energy.LEAST, port_energy.MOST, (port_energy.HANDS[False], 6)
+    )
+    point = [row["stiffness_n_per_m"], row["virtual_damping_ns_per_m"]]
+    scene = treated(load_scene("light"), REMEDIES[0])
+    given = port_energy.given_out(scene, (), hands, np.array([point, [1.5 * point[0], point[1]]]))
+    kept, beyond = given.max(axis=0)
+    assert kept <= port_energy.GIVEN_J < beyond

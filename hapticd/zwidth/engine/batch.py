@@ -33,6 +33,7 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import Spectra, grid_frequencies
 from hapticd.zwidth.engine.job import (
@@ -197,6 +198,7 @@ def simulate(
     dtype: str = "f64",
     keep: str = "summary",
     own_torque: bool = False,
+    parts: tuple[LawPart, ...] = (),
     executor: Executor | None = None,
     chunk: int | None = None,
 ) -> BatchResult:
@@ -219,6 +221,7 @@ def simulate(
                  "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one, with noise of the
                  probe by its position; otherwise by its K, B and M
+    parts        of the law, such as another estimator of the velocity (`render.parts`)
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
 
@@ -245,6 +248,7 @@ def simulate(
         dtype=dtype,
         keep=keep,
         own_torque=own_torque,
+        parts=parts,
         some=bool(trials.any()),
     )
     if chunk is not None and chunk < 1:
@@ -252,14 +256,14 @@ def simulate(
     made = prepared(job)  # compiles once, before any thread waits for it
     size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
     firsts = range(0, len(trials), size)
-    parts = [trials[first : first + size] for first in firsts]
+    groups = [trials[first : first + size] for first in firsts]
     own = range(len(trials)) if own_torque else [_number(trial) for trial in trials]
     numbered = [own[first : first + size] for first in firsts]
     if executor is not None:
-        found = list(executor.map(partial(run_chunk, job), parts, numbered))
+        found = list(executor.map(partial(run_chunk, job), groups, numbered))
     else:
-        with ThreadPoolExecutor(max_workers=min(len(parts), workers())) as threads:
-            found = list(threads.map(partial(run_chunk, job), parts, numbered))
+        with ThreadPoolExecutor(max_workers=min(len(groups), workers())) as threads:
+            found = list(threads.map(partial(run_chunk, job), groups, numbered))
     result = joined(found)
     if keep == "spectra" and result.force_spectrum is None:
         return replace(result, force_spectrum=force_spectrum(job, made))

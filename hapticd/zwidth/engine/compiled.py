@@ -27,6 +27,7 @@ from numba.extending import intrinsic
 
 from hapticd.core.arrays import CACHE_LINE
 from hapticd.render import law
+from hapticd.render.parts import CONTROLLERS, ESTIMATORS
 
 HELPERS = (law.wall_force, law.end_force, law.clamp)
 
@@ -35,6 +36,12 @@ def compiled_law(scalar: type[np.floating[Any]]) -> Any:
     """Return `render` jitted in the precision of `scalar`, with its helpers."""
     helpers = {helper.__name__: _compiled(helper, scalar, {}) for helper in HELPERS}
     return _compiled(law.render, scalar, helpers)
+
+
+def compiled_part(kind: str, scalar: type[np.floating[Any]]) -> Any:
+    """A part of the law jitted in the precision of `scalar`."""
+    function: Any = (ESTIMATORS | CONTROLLERS)[kind]
+    return _compiled(function, scalar, {"clamp": _compiled(law.clamp, scalar, {})})
 
 
 def _compiled(function: Any, scalar: type[np.floating[Any]], names: dict[str, Any]) -> Any:

@@ -46,11 +46,12 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, held_noise, torque_record
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
+from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import kernel
 from hapticd.zwidth.engine.numbers import Filters, law_numbers, plant_numbers
-from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
-from hapticd.zwidth.engine.source import LAW_STATE, SCALARS
+from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, PartShape, Shape, reduced, shape_of
+from hapticd.zwidth.engine.source import LAW_STATE, SCALARS, memory_names, number_names
 
 CACHED = 4  # cached jobs and records: enough for a comparison
 KEEPS = ("summary", "spectra", "records", "ticks")
@@ -74,6 +75,7 @@ class Job:
     renders: bool  # some trial has an environment
     start_position_m: float  # of all bodies
     start_velocity_m_per_s: float  # of all bodies
+    parts: tuple[LawPart, ...] = ()  # of the law
 
     @property
     def samples(self) -> int:
@@ -116,6 +118,9 @@ def prepared(job: Job) -> Prepared:
         renders=job.renders,
         own_torque=job.own_torque,
         ticks=job.keep == "ticks",
+        parts=tuple(
+            PartShape(one.kind, len(one.numbers), len(one.at_rest(0.0))) for one in job.parts
+        ),
     )
     return Prepared(model, coordinates, shape, kernel(shape), SCALARS[shape.dtype])
 
@@ -195,6 +200,9 @@ class Group:
         self._untallied = 0  # ticks
         self.coefficients = np.zeros(max(1, len(made.kernel.COEFFICIENTS)), made.scalar)
         self.set(law_numbers(job.environment, job.filters, job.model.rate_hz))
+        for place, part in enumerate(job.parts):
+            names_of = number_names(place, len(part.numbers))
+            self.set(dict(zip(names_of, part.numbers, strict=True)))
         for column, name in enumerate("KBM" if job.renders else ""):
             self.rows[name][: self.count] = params[:, column]
         self.rows["ALIVE"][:] = 1.0
@@ -237,7 +245,9 @@ class Group:
 
     def _park(self, lanes: Flags) -> None:
         moving = [
-            name for name in self.rows if name[0] == "X" or name == "U" or name.startswith("WAIT")
+            name
+            for name in self.rows
+            if name[0] == "X" or name == "U" or name.startswith(("WAIT", "PART"))
         ]
         law = [*LAW_STATE, "K", "B", "M"] if self.made.shape.renders else []
         for name in [*moving, *law]:
@@ -255,8 +265,13 @@ class Group:
             self.rows[f"X{index}"][:] = value
         if not job.renders:
             return
-        # L0 is the law's last position, the encoder's reading
-        self.rows["L0"][:] = rounded(job.start_position_m, job.model.encoder_quantum_m)
+        # L0 is the law's last position: the encoder's reading
+        shown_m = rounded(job.start_position_m, job.model.encoder_quantum_m)
+        self.rows["L0"][:] = shown_m
+        for place, part in enumerate(job.parts):
+            memory = part.at_rest(shown_m)
+            for name, value in zip(memory_names(place, len(memory)), memory, strict=True):
+                self.rows[name][:] = value
 
 
 # --- windings that warm up ------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from types import ModuleType
 from hapticd import __version__
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
-from hapticd.render import law
+from hapticd.render import law, parts
 from hapticd.zwidth.engine.shape import Shape
 from hapticd.zwidth.engine.source import kernel_source
 
@@ -59,7 +59,7 @@ def cache_folder() -> Path:
 @cache
 def _called() -> bytes:
     """Return the other sources of a kernel besides its text."""
-    paths = (Path(law.__file__), Path(__file__).with_name("compiled.py"))
+    paths = (Path(law.__file__), Path(parts.__file__), Path(__file__).with_name("compiled.py"))
     return b"".join(path.read_bytes() for path in paths)
 
 

@@ -61,6 +61,14 @@ class PushedBody(NamedTuple):
     column: tuple[bool, ...]
 
 
+class PartShape(NamedTuple):
+    """A part of the law: its kind, and of how many values it and its memory consist."""
+
+    kind: str
+    numbers: int
+    memory: int
+
+
 class DriveStates(NamedTuple):
     """The states that limits of the amplifier look at, and which states these reach."""
 
@@ -99,6 +107,7 @@ class Shape:
     limit: bool = False  # of the command
     wall: bool = False  # the law's wall
     ends: bool = False  # the law's soft ends
+    parts: tuple[PartShape, ...] = ()  # of the law, beside K, B and M
     # where windings heat up: the motor force, and whether the command is in it
     heat: tuple[tuple[Term, ...], bool] | None = None
     drive: DriveStates | None = None  # where the amplifier has limits

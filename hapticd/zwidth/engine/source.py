@@ -61,7 +61,8 @@ import numpy as np
 
 from hapticd.core.environment import FURTHER
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.zwidth.engine.shape import DriveStates, Shape, Term
+from hapticd.render.parts import CONTROLLERS, ESTIMATORS
+from hapticd.zwidth.engine.shape import DriveStates, PartShape, Shape, Term
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}
 FASTMATH = '{"contract", "nsz"}'  # fused multiply-add; no reassociation, NaN stays NaN
@@ -77,7 +78,7 @@ import numpy as np
 from numba import njit
 
 from hapticd.zwidth.engine.compiled import law_{dtype} as law
-from hapticd.zwidth.engine.compiled import begin_on_cache_line
+from hapticd.zwidth.engine.compiled import begin_on_cache_line, compiled_part
 
 V, I = "{scalar}[::1]", "int64"
 
@@ -88,6 +89,7 @@ INF = T(np.inf)
 RATE = T({rate})
 TOO_FAST = T({too_fast})
 TURN = T(2 * np.pi)
+{parts}
 {offsets}
 ROWS = {rows}
 COEFFICIENTS = {coefficients}
@@ -133,6 +135,7 @@ def kernel_source(shape: Shape) -> str:
         rate=PROBE_RATE_HZ,
         # the kernel compares a sum of squares, and takes no root and no mean
         too_fast=shape.samples * VELOCITY_MAX_M_PER_S**2,
+        parts=_lines((f"{one.kind} = compiled_part({one.kind!r}, T)" for one in shape.parts), 0),
         offsets="\n".join(f"{name} = {place}" for name, place in places.items()),
         rows=rows.names,
         coefficients=rows.coefficients,
@@ -288,6 +291,16 @@ ENDS = ("LOWER", "UPPER", "END_K")
 FURTHER_NAMES = tuple(one.path.upper() for one in FURTHER)
 
 
+def memory_names(place: int, count: int) -> list[str]:
+    """Rows of what a part of the law remembers."""
+    return [f"PART{place}_M{i}" for i in range(count)]
+
+
+def number_names(place: int, count: int) -> list[str]:
+    """Coefficients of a part of the law."""
+    return [f"PART{place}_N{i}" for i in range(count)]
+
+
 def tick(shape: Shape, row: Rows) -> Iterator[str]:
     """The lines of the lane loop."""
     states = range(shape.states)
@@ -376,12 +389,20 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     # literals for what a scene does not have: LLVM folds them away with their branches
     wall = [row.c(name) if shape.wall else "ZERO" for name in WALL]
     ends = [row.c(name) for name in ENDS] if shape.ends else ["-INF", "INF", "ZERO"]
-    named = [row("K"), row("B"), row("M"), "ZERO", limit, *wall, *ends]
+    virtual_damping = [row("B"), row("M"), "ZERO"]
+    for place, part in enumerate(shape.parts):
+        if part.kind in ESTIMATORS:
+            yield from _part("v", "y", place, part, row)
+            virtual_damping = ["ZERO", row("M"), f"-{row('B')} * v"]  # its force is a bias
+    named = [row("K"), *virtual_damping, limit, *wall, *ends]
     environment = ", ".join([*named, *map(row.c, FURTHER_NAMES)])
     state = ", ".join(row(name) for name in LAW_STATE)
     filters = ", ".join(row.c(name) for name in FILTERS)
     yield f"c, _, _, _, _, _, _, _, state = law(y, ({state}), ({environment}), ({filters}))"
     yield from (f"{row(name)} = state[{i}]" for i, name in enumerate(LAW_STATE))
+    for place, part in enumerate(shape.parts):
+        if part.kind in CONTROLLERS:
+            yield from _part("c", f"y, c, {limit}", place, part, row)
     if shape.force_quantum:
         yield f"c = np.floor(c * {row.c('FORCE_COUNTS')} + HALF) * {row.c('FORCE_COUNT')}"
     # from the front: each place takes what the next one held before that is written over
@@ -391,6 +412,15 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     yield f"{row(f'O{shape.samples}')} = c"
     if shape.ticks:
         yield f"{row(f'O{shape.width - 1}')} = y"
+
+
+def _part(result: str, given: str, place: int, part: PartShape, row: Rows) -> Iterator[str]:
+    """A part of the law: its result, and what it remembers."""
+    names = memory_names(place, part.memory)
+    memory = "".join(f"{row(name)}, " for name in names)
+    numbers = "".join(f"{row.c(name)}, " for name in number_names(place, part.numbers))
+    yield f"{result}, memory = {part.kind}({given}, ({memory}), ({numbers}))"
+    yield from (f"{row(name)} = memory[{i}]" for i, name in enumerate(names))
 
 
 def _tally(shape: Shape, row: Rows) -> Iterator[str]:

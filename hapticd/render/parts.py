@@ -1,0 +1,159 @@
+"""Parts that a law may have beside its sum of K, B and M: other estimators of the velocity, and a
+controller of the energy.
+
+An estimator takes the place of the filtered difference under B alone, F = -K x - B v - M a. The
+functions are what the batch engine compiles, as it compiles `law.render`: floats and tuples of
+floats in and out, coefficients made outside (`LawPart.numbers`), no branch on what a scene has.
+
+    FOAW     Janabi-Sharifi, Hayward and Chen 2000, "Discrete-time adaptive windowing for velocity
+             estimation", end-fit: the longest window of at most 15 periods in which the line from
+             its first to its last sample misses no sample by more than the noise's largest
+             magnitude, for an encoder one count; v is the slope of that line
+
+    Levant   Levant 1998, "Robust exact differentiation via sliding mode technique", for haptics
+             Chawda, Celik and O'Malley 2011:
+
+                 z' = v,  v = u - l sqrt|z - x| sgn(z - x),  u' = -a sgn(z - x)
+
+             by Euler's rule at the servo's rate. With |x''| <= C the author takes l = 1.5 sqrt C
+             and a = 1.1 C; v is then exact after a finite time, but for sampling and noise
+
+A controller changes the force that the sum gives, inside the limit of the command.
+
+    PO/PC    Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", in
+             series with an environment of the impedance kind: the observer books the energy that
+             the environment takes up, W <- W - F dx for F at the end of dx, and where W < 0 the
+             controller adds the damper that brings it back to 0, F <- F + W / dx
+
+The authors have no other number. With a limit, W keeps what the controller could not take. A force
+that is held acts in the dx to come, so W of a spring never falls below its energy, whatever it
+gives. `held_observer` books the force before instead, which is exact without delay (Stramigioli,
+Secchi, van der Schaft and Fantuzzi 2005); the work of its damper is in the next W.
+
+None of these is linear: it has no impedance, and no theorem here judges it. Limitations: the damper
+of a wall stays with the filtered difference.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Final
+
+from hapticd.render.law import clamp
+
+__all__ = [
+    "CONTROLLERS",
+    "ESTIMATORS",
+    "LawPart",
+    "foaw_part",
+    "held_observer_part",
+    "levant_part",
+    "observer_part",
+]
+
+PERIODS: Final = 15  # in the longest window of FOAW
+
+Memory = tuple[float, ...]
+Estimate = tuple[float, Memory]  # velocity [m/s], and what is remembered
+
+
+@dataclass(frozen=True, slots=True)
+class LawPart:
+    """A part with its numbers, and what it remembers: positions, then other values."""
+
+    kind: str  # of ESTIMATORS or CONTROLLERS
+    numbers: tuple[float, ...]  # as its function names them
+    positions: int
+    others: tuple[float, ...] = ()  # at the start
+
+    def at_rest(self, x: float) -> Memory:
+        """What it remembers of a device that has been at rest at `x` [m] for ever."""
+        return (x,) * self.positions + self.others
+
+
+def foaw(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
+    """Velocity [m/s] by FOAW at position `x` [m]; `memory`: the positions before, the last one
+    first; `numbers`: largest miss of a sample [m], rate [Hz].
+    """
+    bound, rate = numbers
+    slope = periods = 0.0  # not the indices: an integer would drag single precision into double
+    for first in range(len(memory)):
+        periods += 1.0
+        tried = (x - memory[first]) / periods
+        fits = True
+        back = 0.0
+        for between in range(first):
+            back += 1.0
+            miss = x - back * tried - memory[between]
+            fits = fits and miss <= bound and miss >= -bound
+        if not fits:
+            break
+        slope = tried
+    return slope * rate, (x, *memory[:-1])
+
+
+def levant(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
+    """Velocity [m/s] by Levant's differentiator at position `x` [m]; `memory` = (z, u);
+    `numbers`: l [m^0.5/s], a [m/s^2], period [s].
+    """
+    z, u = memory
+    gain, drift, period = numbers
+    error = z - x
+    side = 0.0
+    if error > 0.0:
+        side = 1.0
+    if error < 0.0:
+        side = -1.0
+    v = u - gain * sqrt(error * side) * side
+    return v, (z + period * v, u - period * drift * side)
+
+
+def observer(
+    x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
+) -> tuple[float, Memory]:
+    """Force [N] of PO/PC at position `x` [m] for the `force` [N] of the environment, inside
+    +-`limit`; `memory`: the position before, W [J].
+    """
+    before, energy = memory
+    moved = x - before
+    after = energy - force * moved
+    if after < 0.0 and moved != 0.0:
+        force = clamp(force + after / moved, limit)
+        after = energy - force * moved
+    return force, (x, after)
+
+
+def held_observer(
+    x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
+) -> tuple[float, Memory]:
+    """As `observer`; `memory`: the position before, W [J], the force that was given then [N]."""
+    before, energy, held = memory
+    moved = x - before
+    energy -= held * moved
+    if energy < 0.0 and moved != 0.0:
+        force = clamp(force + energy / moved, limit)
+    return force, (x, energy, force)
+
+
+def foaw_part(bound_m: float, rate_hz: float) -> LawPart:
+    """FOAW for noise of at most that magnitude, an encoder's count."""
+    return LawPart("foaw", (bound_m, rate_hz), PERIODS)
+
+
+def levant_part(acceleration_m_per_s2: float, rate_hz: float) -> LawPart:
+    """Levant's differentiator for a motion of at most that acceleration, C."""
+    gain = 1.5 * sqrt(acceleration_m_per_s2)
+    return LawPart("levant", (gain, 1.1 * acceleration_m_per_s2, 1.0 / rate_hz), 1, (0.0,))
+
+
+def observer_part() -> LawPart:
+    """PO/PC, from an environment that has taken up nothing."""
+    return LawPart("observer", (), 1, (0.0,))
+
+
+def held_observer_part() -> LawPart:
+    """The same with the force that was held."""
+    return LawPart("held_observer", (), 1, (0.0, 0.0))
+
+
+ESTIMATORS: Final = {"foaw": foaw, "levant": levant}
+CONTROLLERS: Final = {"observer": observer, "held_observer": held_observer}

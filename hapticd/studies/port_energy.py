@@ -1,0 +1,264 @@
+"""The energy that a display gives out at its port, in a family of passive hands: a measure that
+also judges laws without an impedance, such as FOAW, Levant's differentiator and PO/PC.
+
+A hand (`model.coupled.Hand`) is a mass on the probe, a spring and a damper to a second mass, and a
+spring and a damper from there to the ground. All six sizes are spread evenly in their logarithms,
+from less than a fingertip to more than an arm, and far beyond both in their losses. Everything is
+at rest when the probe is pushed for 0.25 s and let go: with 1 N where the scene's noise is the
+paper's, in proportion where it is stronger, but with no more than half of the force limit. A
+passive display has then received, up to any time, as much energy as it has given back, or more.
+What it gives out beyond that is the energy that it made:
+
+    E = - least over t of the integral of (push + force of the hand) v        at the port
+
+The largest K is the largest one below the first at which some hand of the family gets more than
+GIVEN_J, or the motion diverges. Hands in which that happens first are varied, to find worse ones.
+This is a necessary condition of passivity, in these hands and for this push; the theorem
+(`model.theorem`) is a sufficient one without dry friction.
+
+The port is recorded at 4 kHz, as means of force and velocity: what a hand takes up above some
+500 Hz is booked too small. Limitations: hands of more than two masses, other pushes, and growth so
+slow that it does not show within SECONDS.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from math import inf, isfinite, nan, sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd import __version__
+from hapticd.core.arrays import Floats
+from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.model.coupled import Hand, at_port
+from hapticd.model.scene import Scene
+from hapticd.render.parts import (
+    LawPart,
+    foaw_part,
+    held_observer_part,
+    levant_part,
+    observer_part,
+)
+from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.scenes import NOISE, SUBSTEPS, display, free_of_walls, level, noise
+from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent
+
+__all__ = ["GIVEN_J", "SECONDS", "EnergyRow", "run_port_energy"]
+
+SECONDS = 2.0  # of a trial
+PUSH_N = 1.0  # under the noise of the paper
+PUSH_S = 0.25
+GIVEN_J = 1e-5  # beyond rounding and what the record books too small
+# sizes of a hand: mass on the probe [kg], second mass, spring [N/m] and damper [N s/m] between
+# the two, spring and damper to the ground
+LEAST = np.log([1e-5, 1e-4, 10.0, 1e-3, 1.0, 1e-3])
+MOST = np.log([1.0, 3.0, 1e5, 100.0, 1e5, 100.0])
+HANDS = (24, 6)  # drawn; with --quick
+CHILDREN = (12, 4)  # of the worst hands, in each round
+ROUNDS = (2, 1)
+PARENTS = 4
+HOPEFUL = 4  # values of B that are searched further
+VARIED = 0.5  # sd of a logarithm
+STIFFNESS = np.geomspace(0.25, 32.0, 12)  # over the first row's by the theorem
+VIRTUAL_DAMPING = np.array([0.0, *np.geomspace(0.5, 128.0, 9)])  # over the first row's
+LEAST_DAMPING = 0.05  # of K T, where the first row's best B is less
+FINER = np.geomspace(0.5, 1.1, 32)  # over the K to be improved
+ACCELERATIONS = np.array([1.0, 0.25, 4.0])  # C of Levant over that of the push
+FOAW = "FOAW"
+OBSERVERS = {"PO/PC": observer_part(), "PO/PC, held force": held_observer_part()}
+LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
+AS_IT_IS = REMEDIES[0].name
+# what is judged, and the remedy of the table by theory that it changes further
+BASES = {
+    AS_IT_IS: AS_IT_IS,
+    "best corner": "best corner",
+    "1.74 N s/m": "1.74 N s/m",
+    FOAW: AS_IT_IS,
+    **dict.fromkeys((*LEVANT, *OBSERVERS), AS_IT_IS),
+}
+ASKED = 2.0  # of `EnergyRow.given_out_j`, over the first row's K
+Parts = tuple[LawPart, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EnergyRow:
+    """A device with a remedy. nan: there is no such number."""
+
+    device: str  # name of the scene
+    remedy: str
+    number: float  # count [m] of FOAW, C [m/s^2] of Levant; nan
+    virtual_damping_ns_per_m: float  # of those tried, the B that lets K go farthest
+    stiffness_n_per_m: float  # largest K in every hand, of those tried; nan: none
+    asked_n_per_m: float  # K of what follows, at the same B
+    diverged: bool  # there, in some hand
+    given_out_j: float  # there, in the worst hand, within SECONDS
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A device with a law, and its first K to fail [N/m] in each hand at the most hopeful B."""
+
+    scene: Scene
+    parts: Parts
+    virtual_damping_ns_per_m: Floats  # (B,)
+    hands: Floats  # (H, 6) logarithms of sizes
+    failed_n_per_m: Floats  # (H, B); inf: none
+    most_n_per_m: float  # that was tried
+
+    @property
+    def limit_n_per_m(self) -> float:
+        """The first K to fail in any hand at the best B, or the largest one tried."""
+        return min(float(self.failed_n_per_m.min(axis=0).max()), self.most_n_per_m)
+
+    @property
+    def best(self) -> int:
+        """The place of the best B."""
+        return int(np.argmax(self.failed_n_per_m.min(axis=0)))
+
+
+def hand_of(sizes: Floats) -> Hand:
+    """The hand of six logarithms."""
+    probe, mass, grip_k, grip_b, arm_k, arm_b = np.exp(sizes)
+    between = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    ground = np.diag([0.0, 1.0])
+    damping = grip_b * between + arm_b * ground
+    return Hand(np.array([probe, mass]), damping, grip_k * between + arm_k * ground)
+
+
+def pushed_n(scene: Scene) -> float:
+    """The push [N] on the scene's device."""
+    stronger = sqrt(noise(scene).psd_n2_per_hz / NOISE.psd_n2_per_hz)
+    return min(PUSH_N * stronger, 0.5 * display(scene).force_limit_n)
+
+
+def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floats:
+    """E [J] (H, N) of environments (N, 2), K and B, in `hands` (H, 6); inf where it diverged."""
+    model = display(scene).model
+    push = np.zeros(round(SECONDS * PROBE_RATE_HZ))
+    push[: round(PUSH_S * PROBE_RATE_HZ)] = pushed_n(scene)
+    found = np.zeros((len(hands), len(points)))
+    for row, sizes in zip(found, hands, strict=True):
+        trials = simulate(
+            at_port(model, hand_of(sizes)),
+            np.pad(points, ((0, 0), (0, 1))),
+            SECONDS,
+            active_damping=level(scene),
+            environment=free_of_walls(scene),
+            excitation=push,
+            substeps=SUBSTEPS,
+            parts=parts,
+        )
+        row[:] = np.where(trials.diverged, inf, np.maximum(-trials.min_energy_j, 0.0))
+    return found
+
+
+def first_failures(scene: Scene, parts: Parts, hands: Floats, k: Floats, b: Floats) -> Floats:
+    """The first of `k` [N/m] (ascending) at which each hand gets too much, at each of `b`
+    [N s/m]: (H, B); inf: none.
+    """
+    points = np.array([(stiffness, damping) for damping in b for stiffness in k])
+    fails = given_out(scene, parts, hands, points).reshape(len(hands), b.size, k.size) > GIVEN_J
+    return np.where(fails.any(axis=-1), k[np.argmax(fails, axis=-1)], inf)
+
+
+def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
+    """On the coarse grid over the first row's K and B, in the hands that all share."""
+    hands = np.random.default_rng(1).uniform(LEAST, MOST, (HANDS[quick], LEAST.size))
+    least = LEAST_DAMPING * first.stiffness_n_per_m / first.rate_hz
+    b = VIRTUAL_DAMPING * max(first.virtual_damping_ns_per_m, least)
+    k = STIFFNESS * first.stiffness_n_per_m
+    failed = first_failures(scene, parts, hands, k, b)
+    # many fail at the same K of a coarse grid: then the one with which more hands get farther
+    hopeful = np.lexsort((-np.minimum(failed, k[-1]).mean(axis=0), -failed.min(axis=0)))[:HOPEFUL]
+    return Tried(scene, parts, b[hopeful], hands, failed[:, hopeful], float(k[-1]))
+
+
+def worsened(one: Tried, quick: bool) -> Tried:
+    """With variations of the hands that fail first, on finer grids of K below their failure."""
+    random = np.random.default_rng(2)
+    for _ in range(ROUNDS[quick]):
+        worst = np.argsort(one.failed_n_per_m[:, one.best], kind="stable")[:PARENTS]
+        places = worst[random.integers(PARENTS, size=CHILDREN[quick])]
+        varied = one.hands[places] + VARIED * random.standard_normal((places.size, LEAST.size))
+        hands = np.concatenate((one.hands[worst], np.clip(varied, LEAST, MOST)))
+        k = FINER * one.limit_n_per_m
+        failed = first_failures(one.scene, one.parts, hands, k, one.virtual_damping_ns_per_m)
+        before = one.failed_n_per_m.copy()
+        before[worst] = failed[:PARENTS]
+        one = replace(
+            one,
+            hands=np.concatenate((one.hands, hands[PARENTS:])),
+            failed_n_per_m=np.concatenate((before, failed[PARENTS:])),
+        )
+    return one
+
+
+# --- a table --------------------------------------------------------------------------------------
+
+
+def laws(name: str, scene: Scene) -> list[tuple[float, Parts]]:
+    """What a remedy may add to the law, and the number of each; the best one counts."""
+    model = display(scene).model
+    if name == FOAW:
+        count_m = model.encoder_quantum_m or 0.0
+        return [(count_m, (foaw_part(count_m, model.rate_hz),))]
+    if name in LEVANT:
+        pushed = LEVANT[name] * pushed_n(scene) / model.mass_kg
+        return [(float(c), (levant_part(float(c), model.rate_hz),)) for c in pushed]
+    return [(nan, (OBSERVERS[name],) if name in OBSERVERS else ())]
+
+
+def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
+    """The row of a remedy whose scene is `scene`."""
+    found = [
+        (number, worsened(tried(scene, parts, first, quick), quick))
+        for number, parts in laws(name, scene)
+    ]
+    number, best = max(found, key=lambda one: one[1].limit_n_per_m)
+    b = float(best.virtual_damping_ns_per_m[best.best])
+    limit = best.limit_n_per_m * float(FINER[0] / FINER[1])  # the one before the first to fail
+    asked = ASKED * first.stiffness_n_per_m
+    given = float(given_out(scene, best.parts, best.hands, np.array([[asked, b]])).max())
+    return EnergyRow(
+        device=first.device,
+        remedy=name,
+        number=number,
+        virtual_damping_ns_per_m=b,
+        stiffness_n_per_m=limit if limit > STIFFNESS[0] * first.stiffness_n_per_m else nan,
+        asked_n_per_m=asked,
+        diverged=given == inf,
+        given_out_j=nan if given == inf else given,
+    )
+
+
+def run_port_energy(
+    params: RemediesParams, rows: Sequence[Row], store: TrialStore, tell: Progress = silent
+) -> tuple[EnergyRow, ...]:
+    """For devices in `rows` that render some K, remedies that are there and those that are not
+    linear; what the store has is not done again. ConfigError as `compose` and `simulate`.
+    """
+    known = {(row.device, row.remedy): row for row in rows}
+    asked = [
+        (name, scene, known[scene.name, AS_IT_IS], known[scene.name, base])
+        for scene in params.scenes
+        for name, base in BASES.items()
+        if (scene.name, base) in known and isfinite(known[scene.name, AS_IT_IS].stiffness_n_per_m)
+    ]
+    steps = Steps(tell, len(asked))
+    found = []
+    for name, scene, first, base in asked:
+        steps.next(f"{scene.name}, {name}: energy at the port")
+        remedy = next(one for one in params.remedies if one.name == base.remedy)
+        own = treated(scene, remedy, base.corner_hz)
+        best = first.stiffness_n_per_m, first.virtual_damping_ns_per_m
+        key = fingerprint((__version__, "port energy", name, own, best, params.quick))
+        if key not in store.known:
+            store.add([(key, asdict(judged(name, own, first, params.quick)))])
+        row: dict[str, Any] = {
+            one: nan if value is None else value for one, value in store.known[key].items()
+        }
+        found.append(EnergyRow(**row))
+    steps.end()
+    return tuple(found)

@@ -1,0 +1,136 @@
+"""Energy at the port: the record is that of the port, a passive display gives nothing out, and
+what the measure finds agrees with the theorem where there is one.
+"""
+
+from dataclasses import replace
+from math import isnan
+
+import numpy as np
+import pytest
+from support.devices import rigid
+from support.passive_hands import random_hands
+
+from hapticd.model.coupled import at_port, held_by
+from hapticd.model.effects import Delay
+from hapticd.settings.scene import load_scene
+from hapticd.studies import port_energy
+from hapticd.studies.port_energy import (
+    GIVEN_J,
+    LEAST,
+    MOST,
+    first_failures,
+    given_out,
+    hand_of,
+    run_port_energy,
+)
+from hapticd.studies.remedies import REMEDIES, RemediesParams, run_remedies
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.store import TrialStore, to_json
+
+PUSH_N = np.repeat([1.0, 0.0], 1000)
+HANDS = np.random.default_rng(7).uniform(LEAST, MOST, (6, 6))
+PHYSICAL_NS_PER_M = 1.0
+
+
+def bench(delay_periods=0.25):
+    """A mass of 8 g with 1 N s/m."""
+    scene = load_scene("theory")
+    return replace(scene, effects=(*scene.effects, Delay(periods=delay_periods)))
+
+
+def played(model):
+    return simulate(model, [[0.0, 0.0, 0.0]], 0.5, excitation=PUSH_N, keep="records")
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_port_changes_nothing_of_the_motion(seed):
+    hand = random_hands(5, seed + 1)[seed]
+    held, port = (of(rigid(PHYSICAL_NS_PER_M), hand) for of in (held_by, at_port))
+    one, other = played(held), played(port)
+    scale = abs(one.velocity_m_per_s).max()
+    assert other.velocity_m_per_s == pytest.approx(one.velocity_m_per_s, abs=1e-9 * scale)
+
+
+@pytest.mark.parametrize("sizes", HANDS)
+def test_force_at_the_port_moves_the_display(sizes):
+    """Newton's law of the display alone: m v' + b v is the recorded force."""
+    result = played(at_port(rigid(PHYSICAL_NS_PER_M), hand_of(sizes)))
+    force, velocity = result.record(0)
+    moved = np.cumsum(velocity) / 4000.0
+    impulse = np.cumsum(force) / 4000.0
+    # at the end all is slow: the momentum is that of the mean velocity of the last intervals
+    late = slice(1900, 2000)
+    momentum = impulse[late] - PHYSICAL_NS_PER_M * moved[late]
+    assert momentum.mean() == pytest.approx(0.008 * velocity[late].mean(), abs=1e-6)
+
+
+def test_energy_at_the_port_is_stored_or_spent_in_the_display():
+    """In a hand whose modes are slow against 4 kHz: kinetic energy and what the damper takes."""
+    sizes = np.log([0.01, 0.3, 500.0, 2.0, 200.0, 1.0])
+    result = played(at_port(rigid(PHYSICAL_NS_PER_M), hand_of(sizes)))
+    force, velocity = result.record(0)
+    assert result.work_j[0] == pytest.approx(float(force @ velocity) / 4000.0)
+    spent = PHYSICAL_NS_PER_M * float(velocity @ velocity) / 4000.0
+    kinetic = 0.5 * 0.008 * velocity[-1] ** 2
+    assert result.work_j[0] == pytest.approx(spent + kinetic, rel=1e-3)
+
+
+def test_a_display_without_a_law_gives_nothing_out():
+    given = given_out(bench(), (), HANDS, np.array([[0.0, 0.0]]))
+    assert given.max() < 0.01 * GIVEN_J
+
+
+def test_below_the_theorem_no_hand_gets_anything_and_far_above_it_one_does():
+    """Colgate and Schenkel: 1 N s/m pay for 2 kN/m at 1 kHz without delay."""
+    scene = load_scene("theory")
+    points = np.array([[0.98 * 2000.0, 0.0], [4.0 * 2000.0, 0.0]])
+    below, above = given_out(scene, (), HANDS, points).T
+    assert below.max() < GIVEN_J
+    assert above.max() > 10.0 * GIVEN_J
+
+
+def test_first_failure_is_that_of_the_ascending_grid():
+    k = np.array([500.0, 1900.0, 9000.0, 12000.0])
+    failed = first_failures(load_scene("theory"), (), HANDS, k, np.array([0.0]))
+    assert failed.shape == (6, 1)
+    assert failed.min() == 9000.0
+
+
+def test_a_device_that_renders_nothing_has_no_row():
+    params = RemediesParams((load_scene("literal"),), REMEDIES[:1], quick=True)
+    rows = run_remedies(params, TrialStore(None))
+    assert isnan(rows[0].stiffness_n_per_m)
+    assert run_port_energy(params, rows, TrialStore(None)) == ()
+
+
+def test_runaway_is_reported_as_such():
+    scene = bench()
+    wild = given_out(scene, (), HANDS[:1], np.array([[1e6, 0.0]]))
+    assert np.isinf(wild).all()
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """A study of two remedies and FOAW that takes seconds."""
+    few = dict(list(port_energy.BASES.items())[:4])
+    monkeypatch.setattr(port_energy, "BASES", few)
+    for name, value in (("HANDS", (4, 4)), ("CHILDREN", (2, 2)), ("ROUNDS", (1, 1))):
+        monkeypatch.setattr(port_energy, name, value)
+    monkeypatch.setattr(port_energy, "STIFFNESS", np.geomspace(0.5, 8.0, 8))
+    monkeypatch.setattr(port_energy, "VIRTUAL_DAMPING", np.array([0.0, 1.0]))
+    return RemediesParams((bench(),), (REMEDIES[0], REMEDIES[7]), quick=True)
+
+
+def test_rows_are_kept_and_agree_with_the_theorem(small, tmp_path, monkeypatch):
+    store = TrialStore(tmp_path / "kept.jsonl")
+    rows = run_remedies(small, store)
+    found = run_port_energy(small, rows, store)
+    names = ["as it is", "1.74 N s/m", "FOAW"]
+    assert [row.remedy for row in found] == names
+    for row, theory in zip(found, rows, strict=False):
+        assert row.stiffness_n_per_m > 0.95 * theory.stiffness_n_per_m
+        assert row.asked_n_per_m == 2.0 * rows[0].stiffness_n_per_m
+        assert isnan(row.given_out_j) == row.diverged
+    monkeypatch.setattr(port_energy, "judged", None)  # every row is in the store
+    again = run_port_energy(small, rows, TrialStore(tmp_path / "kept.jsonl"))
+    assert to_json(again) == to_json(found)
