@@ -21,7 +21,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.wait import spinning_wait
-from hapticd.usb.base import Link
+from hapticd.usb.codec import Link
 from hapticd.usb.device import Device
 
 FOR_EVER_S = 1e6  # no heartbeat here

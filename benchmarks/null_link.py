@@ -16,7 +16,7 @@ from hapticd.core.params import BoardParams
 from hapticd.core.units import US_PER_S
 from hapticd.sim.board import hello
 from hapticd.usb import codec, frames
-from hapticd.usb.base import Link
+from hapticd.usb.codec import Link
 from hapticd.usb.frames import InFrame, Request
 
 AMPLITUDE_COUNTS = 2000

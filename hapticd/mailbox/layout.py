@@ -389,7 +389,7 @@ TELEMETRY = (
     # of the IN frame when it was read, by both clocks; -1: unknown, or the board withholds torque
     ("frame_age_us", "<i4"),
     ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, reported by the board
-    # of the event at the board's pins in this tick's frame (usb.events)
+    # of the event at the board's pins in this tick's frame (usb.device)
     ("event_us", "<i8"),
     ("event_code", "<i4"),
     ("events_lost", "<u4"),

@@ -39,7 +39,7 @@ from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, TELEMETRY,
 from hapticd.protocol.ledger import NAMES as LEDGER
 from hapticd.protocol.view import Records, ServoView, as_records, last_torn
 from hapticd.usb import frames
-from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
+from hapticd.usb.codec import PROBE_INDEX_BITS, unwrap
 
 __all__ = [
     "NAMES",

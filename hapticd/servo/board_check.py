@@ -4,8 +4,8 @@ All checks run once at every connection. The board's identity is read again when
 has restarted, because the board may have been flashed.
 
 Two results bar force as long as this board is connected, and each is reported by name: the hello
-contradicts the device file (`usb.agreement`), or the bus is too slow for the rate of the servo
-(`usb.transport`). Every sample carries them as host flags, so a replay has them too. The daemon
+contradicts the device file (`usb.search`), or the bus is too slow for the rate of the servo
+(`usb.search`). Every sample carries them as host flags, so a replay has them too. The daemon
 keeps running, so that you can read the results. A check that fails, or that has not run yet, bars
 force as well, and is repeated.
 
@@ -25,10 +25,9 @@ from hapticd.servo.plan import (
     NO_TEMPERATURE,
     RATE_NOT_HELD,
 )
-from hapticd.usb.agreement import differences, probe_shortage
 from hapticd.usb.device import Device
 from hapticd.usb.frames import Capability, HelloFrame
-from hapticd.usb.transport import Transport, settle_transport
+from hapticd.usb.search import Transport, differences, probe_shortage, settle_transport
 
 NOT_LOOKED_AT: Final = -1  # in place of the number of a life
 STARTED_ANEW: Final = "the board has restarted and is not yet identified"

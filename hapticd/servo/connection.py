@@ -20,8 +20,7 @@ from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, NO_TEMPERATURE, TickConstants
 from hapticd.servo.watchdog_trial import ENABLE, WITHHELD
-from hapticd.usb.base import backoff_s
-from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST, backoff_s
 from hapticd.usb.device import Device
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.search import BoardSearch, Tell

@@ -53,8 +53,7 @@ from hapticd.servo.watchdog_trial import WITHHELD, listens
 from hapticd.usb.codec import (
     NO_SAMPLES,
 )
-from hapticd.usb.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
-from hapticd.usb.events import NO_CODE, NO_TIME_US
+from hapticd.usb.device import NO_CODE, NO_HEAD, NO_TIME_US, SEED, UNKNOWN_US, Device, Head
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.search import Tell
 

@@ -368,8 +368,8 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 LINK_UP = 1
 GATEWAY_ALIVE = 2
 AMPLIFIER_TOLD = 4  # the board reports whether its amplifier is ready
-DEVICE_DIFFERS = 8  # the board contradicts its device file (usb.agreement)
-RATE_NOT_HELD = 16  # the bus is too slow for the rate (usb.transport)
+DEVICE_DIFFERS = 8  # the board contradicts its device file (usb.search)
+RATE_NOT_HELD = 16  # the bus is too slow for the rate (usb.search)
 NO_TEMPERATURE = 32  # the board does not measure the winding: ignore its count
 COMPENSATES = 64  # the board has a resistance DAC that it does not control itself
 

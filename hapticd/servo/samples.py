@@ -17,9 +17,9 @@ from hapticd.render.law import LIMIT, MASS, LawState, clamp, render
 from hapticd.servo.glitch import GlitchVerdict, believed_bend_m, verdict
 from hapticd.servo.monitors import bounds
 from hapticd.servo.plan import Plan, Sample, ServoState, TickConstants, without_origin
+from hapticd.usb.codec import ENCODER_BITS
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import StatusBit
-from hapticd.usb.session import ENCODER_BITS
 
 
 class Samples:

@@ -42,9 +42,8 @@ from hapticd.servo.plan import (
     tick_constants,
 )
 from hapticd.servo.slow_path import SlowPath
-from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import ENCODER_BITS, I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import OutFlag
-from hapticd.usb.session import ENCODER_BITS
 
 __all__ = ["make_step"]
 

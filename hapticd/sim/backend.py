@@ -40,7 +40,7 @@ from hapticd.sim.descriptors import (
 from hapticd.sim.errors import usb_error
 from hapticd.sim.flight import Flight
 from hapticd.sim.injection import Port, TransferFault, with_injections
-from hapticd.usb.base import VENDOR_OUT
+from hapticd.usb.codec import VENDOR_OUT
 
 __all__ = ["SimulatedBackend", "make_backend"]
 

@@ -40,7 +40,7 @@ from hapticd.sim.axis import (
 )
 from hapticd.sim.events import EventPins, PinEvent
 from hapticd.usb import codec, frames
-from hapticd.usb.base import ENGLISH_US, VENDOR_IN, VENDOR_OUT
+from hapticd.usb.codec import ENGLISH_US, VENDOR_IN, VENDOR_OUT
 from hapticd.usb.frames import Capability, HelloFrame, Request, StatusBit
 
 __all__ = ["make_board"]

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Literal
 
 from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL
-from hapticd.usb.base import VENDOR_CLASS
+from hapticd.usb.codec import VENDOR_CLASS
 from hapticd.usb.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
 
 Transfer = Literal["bulk", "interrupt"]

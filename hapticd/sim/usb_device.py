@@ -22,7 +22,7 @@ from hapticd.sim import descriptors
 from hapticd.sim.board import GET_DESCRIPTOR, STRING
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import Port, TransferFault
-from hapticd.usb.base import VENDOR_OUT
+from hapticd.usb.codec import VENDOR_OUT
 from hapticd.usb.frames import PACKET_BYTES
 
 __all__ = ["UsbDevice", "check_traits"]

@@ -35,7 +35,7 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.sim import descriptors
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import IN_BIT, Setup, UsbDevice
-from hapticd.usb.base import VENDOR_CLASS
+from hapticd.usb.codec import VENDOR_CLASS
 
 __all__ = ["BUS_ID", "UsbipServer"]
 

@@ -7,20 +7,44 @@ count and axis must be right. Reserved bytes and samples beyond the count are se
 on receipt. The field order must be that of `frames` (the packers use the same Struct objects). A
 buffer must be refilled, not replaced (both keep memoryviews of their buffer). The caller must
 detect a short read (`in_parser` otherwise reads the frame of the tick before).
+
+The session with a board: handshake, sequence of frames, and numbers that wrap.
+
+Handshake. `greet` checks a board's first reply. No other frame is sent before the board has replied
+to hello with the hash of this package's header; a lost board must reply again.
+
+Sequence. Frames count modulo 2**16. USB keeps the order, so only buffered frames arrive late. The
+last BACKWARD numbers are late frames; every other distance forward is a gap. With half the circle
+each way, a board that restarted its count would seem late for up to 32768 frames; here it is one
+gap. More than 65470 lost frames (8 s at 8 kHz) cannot be distinguished from late ones: the link is
+given up long before.
+
+Wrapping. A reading represents the integer nearest to the one before it. This is unique while less
+than half a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1
+km of travel at 0.5 um.
+
+A `previous` must not be kept across a re-plug (unwrap again from the first reading).
+
+The interface of every link to a board.
+
+Real and simulated boards share it: no caller distinguishes them.
 """
 
 import struct
+from abc import ABC, abstractmethod
 from array import array
 from binascii import crc_hqx
 from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
-from hapticd.core.errors import FrameError
+from hapticd.core.errors import FrameError, ProtocolMismatch
 from hapticd.usb import frames
-from hapticd.usb.frames import HelloFrame, InFrame, OutFrame
+from hapticd.usb.frames import HelloFrame, InFrame, OutFrame, Request
 
 __all__ = [
+    "ENCODER_BITS",
+    "ENGLISH_US",
     "HEAD_CURRENT",
     "HEAD_ENCODER",
     "HEAD_FIFO_LEVEL",
@@ -30,15 +54,78 @@ __all__ = [
     "I16_HIGHEST",
     "I16_LOWEST",
     "NO_SAMPLES",
+    "PROBE_INDEX_BITS",
     "TORQUE_SEQUENCES",
     "U16_HIGHEST",
+    "VENDOR_CLASS",
+    "VENDOR_IN",
+    "VENDOR_OUT",
+    "backoff_s",
     "decode_hello",
     "decode_in",
     "decode_out",
     "encode_hello",
     "encode_in",
     "encode_out",
+    "unwrap",
 ]
+
+VENDOR_CLASS = 0xFF  # of the board's interface
+VENDOR_IN = 0xC0  # bmRequestType of requests to it
+VENDOR_OUT = 0x40
+ENGLISH_US = 0x0409  # language of its strings
+
+
+class Link(ABC):
+    """One board, one owner. Every call returns within the link's time-out or raises a LinkError.
+
+    `in_flight`: `write` returns before its frame has arrived, and a frame may be in transit between
+    calls (`usb.flight`).
+    """
+
+    in_flight = False
+
+    @abstractmethod
+    def open(self) -> None:
+        """Find and claim the board. LinkLost: not found; LinkAccess: not allowed or in use."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything; never raises, may be called twice."""
+
+    @abstractmethod
+    def read(self, buffer: "array[int]") -> int:
+        """Fill `buffer` (array('B'), one packet) with the next IN frame; return the number of
+        bytes.
+
+        LinkTimeout, LinkStalled, LinkLost.
+        """
+
+    @abstractmethod
+    def write(self, buffer: "array[int]") -> None:
+        """Send `buffer` (array('B')) as one OUT frame. LinkTimeout, LinkStalled, LinkLost."""
+
+    def drain(self) -> None:  # noqa: B027  # nothing to do where `write` waits
+        """Wait for the OUT frame in transit, up to the time-out; never raises.
+
+        Call it between ticks only: the next `write` then finds the bus free.
+        """
+
+    @abstractmethod
+    def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
+        """Send a vendor control request with wValue `value`; return its reply of at most `length`
+        bytes.
+
+        With `length` 0 it is an OUT request without data.
+        """
+
+
+def backoff_s(attempt: int) -> float:
+    """Return the pause before the next search for a lost board: 50 ms, doubled each time, at most 1
+    s.
+    """
+    return min(1.0, 0.05 * 2.0 ** min(attempt, 10))
+
 
 # ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
 # scale factor is not
@@ -292,3 +379,64 @@ def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
         return head
 
     return parse
+
+
+SEQ_BITS = 16
+BOARD_TIME_BITS = 32
+PROBE_INDEX_BITS = 32
+ENCODER_BITS = 32
+BACKWARD = 64
+SEQ_MASK = (1 << SEQ_BITS) - 1
+
+
+def greet(reply: bytes) -> HelloFrame:
+    """Return the hello in a board's reply, if the host can work with this board.
+
+    The requirements of its device file are checked elsewhere (`usb.search`). The first 8 bytes
+    are the protocol hash in every version. A board of another version is therefore identified
+    (ProtocolMismatch) even if the rest of its reply has another form. FrameError: a reply with the
+    right hash is malformed.
+    """
+    found = bytes(reply[: len(frames.PROTOCOL_HASH)])
+    if found != frames.PROTOCOL_HASH:
+        raise ProtocolMismatch(
+            f"the board speaks protocol {found.hex()}, this hapticd {frames.PROTOCOL_HASH.hex()};"
+            " flash firmware built against the hapticd_wire.h of this hapticd, or install the"
+            " hapticd whose HAPTICD_PROTOCOL_HASH is the board's"
+        )
+    hello = decode_hello(reply)
+    board = f"board {hello.serial or 'without serial'}"
+    if hello.axis_count != frames.AXIS_COUNT:
+        raise ProtocolMismatch(
+            f"{board} has {hello.axis_count} axes, expected 1; flash firmware for one axis"
+        )
+    if hello.watchdog_ms <= 0:
+        raise ProtocolMismatch(
+            f"{board} has a watchdog of 0 ms, limit > 0 ms; flash firmware with a watchdog"
+        )
+    for name in ("force_full_scale_n", "force_limit_n"):
+        value = getattr(hello, name)
+        if not value > 0.0:
+            raise ProtocolMismatch(
+                f"{board} states {name} = {value:g} N, limit > 0 N; correct its firmware"
+            )
+    return hello
+
+
+def unwrap(previous: int, wrapped: int, bits: int) -> int:
+    """Return the integer nearest to `previous` that reads `wrapped` in a counter of `bits` bits,
+    signed or not.
+
+    Exactly half a period away counts as backward.
+    """
+    half = 1 << (bits - 1)
+    # `&` gives a remainder that is never negative; half a period on both sides makes it signed
+    return previous + ((wrapped - previous + half) & (2 * half - 1)) - half
+
+
+def lost_between(previous: int, seq: int) -> int:
+    """Return the number of frames lost between the newest one, `previous`, and `seq`. It is 0 if
+    `seq` is late or a duplicate.
+    """
+    step = (seq - previous) & SEQ_MASK
+    return step - 1 if 0 < step <= SEQ_MASK - BACKWARD else 0

@@ -30,6 +30,18 @@ Almost every frame is the next one, intact. `receive` and `send` handle that cas
 every other to the codec: `in_parser` examines any other frame as a whole. LinkLost is for the loop;
 smaller failures are counted and handled here. One task must call it, and buffers must not be
 replaced.
+
+Events at the board's pins, with their times on the clock of the samples.
+
+An event is a sync pulse or a code of a stimulus computer, an EEG amplifier or an eye tracker. Every
+frame contains one event: its number, its code, and its age at the latch. The board repeats each in
+two frames, so a lost frame loses no event. An event counts once, when its number first appears. A
+step of more than 1 gives the number of lost events; the number has 8 bits, so a loss of 256 events
+is not detected. The event in the first frame of a life of the board happened before it and is not
+recorded. A board that returns in the same life continues its numbers.
+
+The time is that of the change, by the board's clock, like `board_us` of the sample: the two need no
+clock of the host. An age at the end of its 16 bits gives no time.
 """
 
 from array import array
@@ -39,25 +51,61 @@ from math import ceil, floor
 
 from hapticd.core.errors import LinkStalled, LinkTimeout
 from hapticd.core.units import US_PER_S
-from hapticd.usb import codec, frames, session
-from hapticd.usb.base import Link
+from hapticd.usb import codec, frames
 from hapticd.usb.codec import (
+    BOARD_TIME_BITS,
     HEAD_AXIS,
     HEAD_BOARD_TIME,
     HEAD_CRC,
     HEAD_ECHO,
+    HEAD_EVENT_AGE,
+    HEAD_EVENT_CODE,
     HEAD_EVENT_SEQ,
     HEAD_LIFE,
     HEAD_PROBE_COUNT,
     HEAD_SEQ,
     HEAD_TORQUE_AGE,
     HEAD_TORQUE_SEQ,
+    U16_HIGHEST,
+    Link,
 )
-from hapticd.usb.events import PinEvents
 from hapticd.usb.frames import Capability, HelloFrame, Request
-from hapticd.usb.session import BOARD_TIME_BITS
 
-__all__ = ["NO_HEAD", "SEED", "UNKNOWN_US", "Device", "Head"]
+__all__ = ["NO_CODE", "NO_HEAD", "NO_TIME_US", "SEED", "UNKNOWN_US", "Device", "Head"]
+
+NUMBERS = 256
+NO_CODE = -1
+NO_TIME_US = -1
+LOST_MASK = 0xFFFFFFFF  # a count of the record
+NO_EVENT = (NO_TIME_US, NO_CODE)
+
+
+class PinEvents:
+    """The events of one board. `seen` is the number of the newest one, `lost` the number of missed
+    ones; a board that is not `able` has none.
+    """
+
+    __slots__ = ("able", "lost", "seen")
+
+    def __init__(self) -> None:
+        self.able = False
+        self.seen = 0
+        self.lost = 0
+
+    def take(self, head: tuple[int, ...], board_us: int) -> tuple[int, int]:
+        """Return time [us] and code of the event of `head`, latched at `board_us`, with a number
+        other than `seen`.
+        """
+        number = head[HEAD_EVENT_SEQ]
+        missed = (number - self.seen - 1) % NUMBERS
+        self.seen = number
+        if not self.able:
+            return NO_EVENT
+        self.lost = self.lost + missed & LOST_MASK
+        age_us = head[HEAD_EVENT_AGE]
+        time_us = board_us - age_us if age_us < U16_HIGHEST else NO_TIME_US
+        return time_us, head[HEAD_EVENT_CODE]
+
 
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20
@@ -72,7 +120,7 @@ Received = tuple[int, int, int, Head]
 NO_SAMPLE_US = 1 << 62
 AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it also represents longer ages
 UNKNOWN_US = -1
-MOST_LAG = session.SEQ_MASK // 2  # a larger lag means an OUT ahead of this one
+MOST_LAG = codec.SEQ_MASK // 2  # a larger lag means an OUT ahead of this one
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
@@ -121,7 +169,7 @@ class Device:
 
     def greet(self) -> HelloFrame:
         """Request the hello of an open board again. LinkError, ProtocolMismatch or FrameError."""
-        self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        self.hello = codec.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
         self.events.able = bool(self.hello.capabilities & Capability.EVENT)
         return self.hello
 
@@ -228,10 +276,10 @@ def _exchange(
         """
         nonlocal resting
         for _ in range(MOST_READS):
-            lag = sent - found[HEAD_ECHO] & session.SEQ_MASK
+            lag = sent - found[HEAD_ECHO] & codec.SEQ_MASK
             if seeding or found[HEAD_LIFE] != life:
                 kind = ""
-            elif session.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS) <= board_us:
+            elif codec.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS) <= board_us:
                 kind = "stale"
             else:
                 kind = "behind" if 0 < lag <= MOST_LAG else ""
@@ -252,8 +300,8 @@ def _exchange(
     def odd(found: Head) -> Received:
         """Handle a frame that is not simply the next one: stale, old, after a gap, or the first."""
         nonlocal head, board_us, expected, missing, seeding, life
-        if missing > session.BACKWARD and found[HEAD_LIFE] == life:
-            latched = session.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS)
+        if missing > codec.BACKWARD and found[HEAD_LIFE] == life:
+            latched = codec.unwrap(board_us, found[HEAD_BOARD_TIME], BOARD_TIME_BITS)
             if not seeding and latched < board_us:
                 begin()
         taken = newest(found)
@@ -267,13 +315,13 @@ def _exchange(
             device.events.seen = found[HEAD_EVENT_SEQ]
             begin()
         if not seeding:
-            latched = session.unwrap(board_us, latched, BOARD_TIME_BITS)
-            counts["gap"] += session.lost_between(head[HEAD_SEQ], found[HEAD_SEQ])
-            counts["unseen"] += session.lost_between(head[HEAD_ECHO], found[HEAD_ECHO])
+            latched = codec.unwrap(board_us, latched, BOARD_TIME_BITS)
+            counts["gap"] += codec.lost_between(head[HEAD_SEQ], found[HEAD_SEQ])
+            counts["unseen"] += codec.lost_between(head[HEAD_ECHO], found[HEAD_ECHO])
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
         head = found
         board_us = latched
-        expected = (found[HEAD_SEQ] + 1) & session.SEQ_MASK
+        expected = (found[HEAD_SEQ] + 1) & codec.SEQ_MASK
         missing = 0
         seeding = False
         return lost, board_us, delay_us(found), head

@@ -38,8 +38,8 @@ from hapticd.core.errors import (
     LinkTimeout,
 )
 from hapticd.core.params import UsbParams
-from hapticd.usb.base import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Link
-from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
+from hapticd.usb.codec import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Link
+from hapticd.usb.flight import End, InFlight, OutFailed, Transfers, UsbfsTransfers
 from hapticd.usb.frames import Request
 
 __all__ = ["UsbLink"]
@@ -265,8 +265,6 @@ class UsbLink(Link):
         if not self._params.in_flight:
             return None
         if self._system is not None:
-            from hapticd.usb.usbfs import UsbfsTransfers  # not for a simulated board
-
             path = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
             return UsbfsTransfers(path, number, out, into)
         make = getattr(self._backend, "transfers", None)

@@ -23,7 +23,7 @@ def test_gateway_brings_no_compiler_and_no_board() -> None:
                 "hapticd.settings",
                 "hapticd.usb.device",
                 "hapticd.usb.link",
-                "hapticd.usb.usbfs",
+                "hapticd.usb.flight",
             )
         )
     ]

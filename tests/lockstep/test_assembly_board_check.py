@@ -19,8 +19,8 @@ from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
 from hapticd.usb import codec
-from hapticd.usb.agreement import differences
 from hapticd.usb.device import SEED
+from hapticd.usb.search import differences
 
 
 def report(stack):

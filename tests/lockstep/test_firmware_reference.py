@@ -15,7 +15,7 @@ from support.firmware_build import REFERENCE, WARNINGS, sources
 from support.programs import compiler
 
 from hapticd.sim.board import hello
-from hapticd.usb import codec, session
+from hapticd.usb import codec
 from hapticd.usb.frames import OutFlag, Request, StatusBit
 
 VECTORS = [
@@ -57,7 +57,7 @@ def test_firmware_is_greeted() -> None:
     params = board_params()
     reply = FirmwareBoard(params).control(VENDOR_IN, Request.HELLO, 0, 80)
     assert reply is not None
-    assert session.greet(reply) == codec.decode_hello(codec.encode_hello(hello(params)))
+    assert codec.greet(reply) == codec.decode_hello(codec.encode_hello(hello(params)))
 
 
 @pytest.mark.parametrize(("sample", "mean"), [(45, 32), (-45, -31), (100, 70), (-32768, -22938)])

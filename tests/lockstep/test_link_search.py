@@ -30,7 +30,7 @@ from hapticd.run.servo_main import Servo
 from hapticd.sim.backend import READY, Handle, SimulatedBackend, Unready
 from hapticd.sim.board import BoardModel, hello
 from hapticd.usb import codec
-from hapticd.usb.base import backoff_s
+from hapticd.usb.codec import backoff_s
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 from hapticd.usb.search import MISMATCH_NS, BoardSearch

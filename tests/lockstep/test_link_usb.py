@@ -25,7 +25,7 @@ from hapticd.sim.board import BoardModel
 from hapticd.sim.errors import usb_error
 from hapticd.sim.injection import with_injections
 from hapticd.usb import codec
-from hapticd.usb.base import backoff_s
+from hapticd.usb.codec import backoff_s
 from hapticd.usb.frames import Request, StatusBit
 from hapticd.usb.link import FAILURES, UsbLink, link_error, system_backend
 

@@ -9,7 +9,7 @@ from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import LINK_UP
-from hapticd.usb.events import NO_CODE, NO_TIME_US
+from hapticd.usb.device import NO_CODE, NO_TIME_US
 from hapticd.usb.frames import EVENT_DEPTH
 
 MS_NS = 1_000_000

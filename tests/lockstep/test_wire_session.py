@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.core.errors import FrameError, ProtocolMismatch
-from hapticd.usb import codec, frames, session
+from hapticd.usb import codec, frames
+from hapticd.usb.codec import greet, lost_between, unwrap
 from hapticd.usb.frames import HelloFrame
-from hapticd.usb.session import greet, lost_between, unwrap
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 
@@ -141,7 +141,7 @@ def test_board_time_of_24_hours() -> None:
     true_us = range(2**32 - 5_000_000, 2**32 + 86_400_000_000, 250_007)
     time_us = true_us[0]
     for true in true_us[1:]:
-        time_us = unwrap(time_us, true & 0xFFFFFFFF, session.BOARD_TIME_BITS)
+        time_us = unwrap(time_us, true & 0xFFFFFFFF, codec.BOARD_TIME_BITS)
         assert time_us == true
 
 
@@ -149,9 +149,9 @@ def test_probe_index_and_encoder_wrap_both_ways() -> None:
     forward = list(range(2**32 - 40, 2**32 + 40, 4))
     for path in (forward, forward[::-1]):
         for before, after in pairwise(path):
-            assert unwrap(before, after % 2**32, session.PROBE_INDEX_BITS) == after
+            assert unwrap(before, after % 2**32, codec.PROBE_INDEX_BITS) == after
             signed = after % 2**32 - 2**31
-            assert unwrap(before - 2**31, signed, session.ENCODER_BITS) == after - 2**31
+            assert unwrap(before - 2**31, signed, codec.ENCODER_BITS) == after - 2**31
 
 
 # --- sequence -------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ defect has to fail one of them.
 from collections.abc import Callable
 
 from hapticd.core.errors import LinkError
-from hapticd.usb import codec, session
+from hapticd.usb import codec
 from hapticd.usb.frames import HELLO_BYTES, Capability, Request, StatusBit
 from support.pico_backend import CONFIGURATION, DEVICE
 from support.pico_chip import B1, OPEN, PicoChip, Verb
@@ -49,7 +49,7 @@ def check_descriptors(host: PicoHost) -> None:
     ends = [backend.get_endpoint_descriptor(None, index, 0, 0, 0) for index in range(2)]
     found = [(end.bEndpointAddress, end.bmAttributes, end.wMaxPacketSize) for end in ends]
     assert found == [(0x01, 2, 64), (0x81, 2, 64)]
-    told = session.greet(host.link.request(Request.HELLO, HELLO_BYTES))
+    told = codec.greet(host.link.request(Request.HELLO, HELLO_BYTES))
     assert told.serial == host.params.serial
 
 
@@ -128,7 +128,7 @@ def check_outputs(host: PicoHost) -> None:
 
 def check_trim(host: PicoHost) -> None:
     """The resistance trim acts without ENABLE, never below 0; the protocol's watchdog keeps it."""
-    told = session.greet(host.link.request(Request.HELLO, HELLO_BYTES))
+    told = codec.greet(host.link.request(Request.HELLO, HELLO_BYTES))
     assert told.capabilities & Capability.RESISTANCE
     for count in (1, 32767, -1, 20000):
         host.write(host.out(enable=False, trim=count))

@@ -7,10 +7,9 @@ import pytest
 
 from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
 from hapticd.usb import codec, frames
-from hapticd.usb.base import Link, backoff_s
+from hapticd.usb.codec import BACKWARD, Link, backoff_s
 from hapticd.usb.device import SEED, Device
 from hapticd.usb.frames import HelloFrame, InFrame, OutFlag, OutFrame
-from hapticd.usb.session import BACKWARD
 
 PERIOD_US = 1000
 

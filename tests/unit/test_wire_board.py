@@ -10,7 +10,7 @@ from support import wire_header as header
 
 from hapticd.core.params import BoardParams
 from hapticd.sim.board import BoardModel
-from hapticd.usb import codec, frames, session
+from hapticd.usb import codec, frames
 from hapticd.usb.frames import Request, StatusBit
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]
@@ -72,4 +72,4 @@ def test_board_says_bad_frame_once() -> None:
 def test_board_is_greeted() -> None:
     reply = board().control(VENDOR_IN, Request.HELLO, 0, frames.HELLO_BYTES)
     assert reply is not None
-    assert session.greet(reply).serial == "HD-0001"
+    assert codec.greet(reply).serial == "HD-0001"

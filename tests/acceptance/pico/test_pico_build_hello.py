@@ -9,8 +9,8 @@ from support.tree import ROOT
 
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
-from hapticd.usb.agreement import differences
 from hapticd.usb.frames import Capability
+from hapticd.usb.search import differences
 
 TEMPLATE = ROOT / "config" / "devices" / "example-board.toml"
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hapticd.core.errors import LinkTimeout
 from hapticd.usb import codec, frames
-from hapticd.usb.base import Link
+from hapticd.usb.codec import Link
 from hapticd.usb.device import Device
 from hapticd.usb.frames import Request
 from support.attacks.rows import Losses, Outcome

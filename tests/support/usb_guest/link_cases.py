@@ -28,7 +28,7 @@ from hapticd.usb import codec, frames
 from hapticd.usb.device import Device
 from hapticd.usb.frames import Request
 from hapticd.usb.link import UsbLink
-from hapticd.usb.transport import settle_transport
+from hapticd.usb.search import settle_transport
 
 
 # --- enumeration ----------------------------------------------------------------------------------
