@@ -7,9 +7,7 @@ backend    make_backend: the board as a pyusb backend, with the errors of libusb
            whose transfers may take time
 events     EventPins: the event pins of the firmware
 injection  with_injections: seeded faults between the two
-bus        duration of transfers: a fixed time, or a model of full speed behind xHCI
-flight     Flight: asynchronous transfers of the board
-errors     the errors of libusb as pyusb raises them
-descriptors, usb_device, usbip
-           UsbDevice and UsbipServer: the same board on the real USB bus of any Linux
+bus        duration of transfers: a fixed time, or a model of full speed behind xHCI; Flight:
+           asynchronous transfers of the board; the errors of libusb as pyusb raises them
+usb_device, usbip  UsbDevice and UsbipServer: the same board on the real USB bus of any Linux
 """

@@ -11,7 +11,7 @@ A `DistantBackend` is at the end of a bus (`sim.bus`) with transfer times. Trans
 like libusb's synchronous calls: a write is submitted, reaches the board, and returns when its
 caller wakes. A read takes the waiting packet, or the next one when it is latched and the controller
 polls it. Meanwhile the board queues or replaces latched packets. Asynchronous transfers use the
-same bus (`sim.flight`).
+same bus (`sim.bus`).
 
 Only one thread may use it (there is no lock within a tick). Limitations: a time-out shorter than
 the transport (the packet is still delivered, late, as by libusb when its timer fires late).
@@ -29,17 +29,15 @@ from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.sim.board import make_board
-from hapticd.sim.bus import Bus, FixedBus, FullSpeedBus
-from hapticd.sim.descriptors import (
+from hapticd.sim.bus import Bus, FixedBus, Flight, FullSpeedBus, usb_error
+from hapticd.sim.injection import Port, TransferFault, with_injections
+from hapticd.sim.usb_device import (
     Transfer,
     configuration_descriptor,
     device_descriptor,
     endpoint_descriptor,
     interface_descriptor,
 )
-from hapticd.sim.errors import usb_error
-from hapticd.sim.flight import Flight
-from hapticd.sim.injection import Port, TransferFault, with_injections
 from hapticd.usb.codec import VENDOR_OUT
 
 __all__ = ["SimulatedBackend", "make_backend"]

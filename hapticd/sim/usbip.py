@@ -32,7 +32,7 @@ from typing import NamedTuple
 from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.sim import descriptors
+from hapticd.sim import usb_device
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import IN_BIT, Setup, UsbDevice
 from hapticd.usb.codec import VENDOR_CLASS
@@ -260,7 +260,7 @@ class UsbipServer:
 
     def _about(self) -> bytes:
         """Return the board's description in the protocol."""
-        one = descriptors.device_descriptor(1)
+        one = usb_device.device_descriptor(1)
         return DEVICE.pack(
             f"/sys/devices/simulated/{BUS_ID}".encode(),
             BUS_ID.encode(),

@@ -22,7 +22,7 @@ from hapticd.core.errors import (
 from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
-from hapticd.sim.errors import usb_error
+from hapticd.sim.bus import usb_error
 from hapticd.sim.injection import with_injections
 from hapticd.usb import codec
 from hapticd.usb.codec import backoff_s

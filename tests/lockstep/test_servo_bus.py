@@ -12,8 +12,7 @@ from hapticd.protocol.view import as_records
 from hapticd.run import lockstep
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
-from hapticd.sim.bus import TransferTime
-from hapticd.sim.errors import usb_error
+from hapticd.sim.bus import TransferTime, usb_error
 from hapticd.usb.frames import Request
 
 IN_TURN = UsbParams(in_flight=False)  # a pair of 0.8 ms is too slow for 1 kHz

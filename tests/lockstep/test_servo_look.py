@@ -19,7 +19,7 @@ from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
-from hapticd.sim.errors import usb_error
+from hapticd.sim.bus import usb_error
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import OutFlag, Request
 

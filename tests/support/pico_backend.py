@@ -18,7 +18,7 @@ import usb.backend
 
 from hapticd.core.clock import Clock
 from hapticd.core.units import NS_PER_MS
-from hapticd.sim.errors import usb_error
+from hapticd.sim.bus import usb_error
 from support.pico_plant import ADDRESS, Rig
 
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT = 1, 2, 4, 5

@@ -11,7 +11,7 @@ from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 from hapticd.core.clock import MonotonicClock, VirtualClock
 from hapticd.sim.backend import ENDLESS_MS, SPIN_NS, SimulatedBackend
 from hapticd.sim.board import BoardModel
-from hapticd.sim.errors import LIBUSB_ERRORS, usb_error
+from hapticd.sim.bus import LIBUSB_ERRORS, usb_error
 from hapticd.usb import codec
 
 OUT = 0x01

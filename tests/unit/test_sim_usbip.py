@@ -21,7 +21,7 @@ from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.sim import descriptors
+from hapticd.sim import usb_device
 from hapticd.sim.board import BoardModel, make_board
 from hapticd.sim.injection import with_injections
 from hapticd.sim.usb_device import UsbDevice
@@ -96,18 +96,18 @@ def make() -> Iterator[Callable[..., Bench]]:
 def test_bytes_of_the_descriptors_are_those_of_the_specification() -> None:
     """USB 2.0, tables 9-8, 9-10, 9-12 and 9-13, byte for byte."""
     device = bytes.fromhex("12 01 00 02 ff 00 00 40 09 12 01 00 00 01 01 02 03 01")
-    assert descriptors.device_bytes() == device
+    assert usb_device.device_bytes() == device
     head = bytes.fromhex("09 02 20 00 01 01 00 80 fa") + bytes.fromhex("09 04 00 00 02 ff 00 00 00")
     bulk = bytes.fromhex("07 05 01 02 40 00 00") + bytes.fromhex("07 05 81 02 40 00 00")
-    assert descriptors.configuration_bytes("bulk") == head + bulk
+    assert usb_device.configuration_bytes("bulk") == head + bulk
     interrupt = bytes.fromhex("07 05 01 03 40 00 01") + bytes.fromhex("07 05 81 03 40 00 01")
-    assert descriptors.configuration_bytes("interrupt") == head + interrupt
+    assert usb_device.configuration_bytes("interrupt") == head + interrupt
 
 
 def test_host_enumerates_and_greets_the_board(make: Callable[..., Bench]) -> None:
     client = make().client
-    assert client.control(0x80, 6, 0x0100, 0, 18).data == descriptors.device_bytes()
-    assert client.control(0x80, 6, 0x0200, 0, 9).data == descriptors.configuration_bytes("bulk")[:9]
+    assert client.control(0x80, 6, 0x0100, 0, 18).data == usb_device.device_bytes()
+    assert client.control(0x80, 6, 0x0200, 0, 9).data == usb_device.configuration_bytes("bulk")[:9]
     assert client.control(0x80, 6, 0x0600, 0, 10).status == -errno.EPIPE  # full speed alone
     assert client.control(0x00, 9, 1, 0, 0).status == 0
     assert client.control(0x80, 8, 0, 0, 1).data == b"\x01"
