@@ -18,9 +18,9 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.plan import SETTLED
-from hapticd.servo.wait import spinning_wait
 from hapticd.usb.codec import Link
 from hapticd.usb.device import Device
 

@@ -17,7 +17,7 @@ from benchmarks.worker import ROOT, BenchError
 from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox import layout
-from hapticd.servo.monitors import bounds
+from hapticd.servo.safety import bounds
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_HEAD
 

@@ -20,7 +20,7 @@ from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams
 from hapticd.mailbox import layout
 from hapticd.run.servo_main import simulated_backend
-from hapticd.servo.wait import first_deadline
+from hapticd.servo.late import first_deadline
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import OutFrame
 from hapticd.usb.link import UsbLink

@@ -6,7 +6,7 @@ from typing import Any
 from benchmarks.worker import serve
 from hapticd.core.params import RealtimeParams
 from hapticd.core.units import NS_PER_US
-from hapticd.servo.wait import first_deadline, spinning_wait
+from hapticd.servo.late import first_deadline, spinning_wait
 
 
 def _nothing() -> None:

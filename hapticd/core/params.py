@@ -231,16 +231,16 @@ class DeviceParams:
     energy_limit_j: float = ENERGY_LIMIT_J  # energy given out without cover: fault `energy`
     # largest step of force [N] in one tick by an enable or a change of parameters; infinite: any
     force_step_n: float = math.inf
-    # a higher acceleration is accepted only if the next sample continues from it (servo.glitch)
+    # a higher acceleration is accepted only if the next sample continues from it (servo.samples)
     acceleration_limit_m_per_s2: float = math.inf
-    # energy that enables and changes of parameters may add within a second (servo.easing)
+    # energy that enables and changes of parameters may add within a second (servo.energy)
     ramp_energy_j: float = math.inf
     resistance: ResistanceParams | None = None  # None: the board's compensation stays at count 0
     motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown
     winding_ohm: float = 0.0  # at `winding_reference_c`, from the device file; 0: unknown
     winding_reference_c: float = 20.0
     motor_lever_m: float = 1.0  # radius that turns torque into force, from [motor]; 1: unknown
-    # its signs are not verified: limited force, K, B and M (servo.commissioning)
+    # its signs are not verified: limited force, K, B and M (servo.safety)
     commissioning: bool = False
     signs_firmware: str = ""  # of the board when its signs were verified, like 1.0; "": any
     active_damping_with_force_n: float = (

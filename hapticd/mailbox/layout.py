@@ -452,8 +452,8 @@ class Flag(IntEnum):
     WRITE_FAILED = 128
     RAMPING = 256
     QUIET_RAMP = 512  # force returns from 0 after a gap
-    EASED = 1024  # parameters are held back by the device's force step (servo.easing)
-    # servo.glitch: the sample is doubted, and the motion is continued straight; the samples before
+    EASED = 1024  # parameters are held back by the device's force step (servo.energy)
+    # servo.samples: the sample is doubted, and the motion is continued straight; the samples before
     # were glitches, and the filters got positions between; they were true motion
     DOUBTED = 2048
     GLITCH = 4096
@@ -477,7 +477,7 @@ class LateCause(IntEnum):
 
 
 class Watched(IntEnum):
-    """Bits of `watches` in a record: active faults that end a limit cycle (servo.monitors)."""
+    """Bits of `watches` in a record: active faults that end a limit cycle (servo.safety)."""
 
     FORCE_AT_LIMIT = 1
     OVERSPEED = 2

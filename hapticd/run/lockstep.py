@@ -21,8 +21,8 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run.servo_main import simulated_backend
+from hapticd.servo.late import virtual_wait
 from hapticd.servo.loop import ServoLoop
-from hapticd.servo.wait import virtual_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 

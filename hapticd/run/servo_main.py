@@ -30,8 +30,8 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run.watchdog import start_feeder
 from hapticd.servo import host
+from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop
-from hapticd.servo.wait import spinning_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 from hapticd.usb.search import BoardSearch

@@ -3,23 +3,22 @@ layers below.
 
     host        prepare, relax: real-time rights, requested from the operating system
     loop        ServoLoop: the only `while`
-    wait, rehearsal        the wait for a deadline, which warms the caches meanwhile
+    late        the cause of a late tick; the wait for a deadline, which warms the caches meanwhile
     connection  BoardConnection: the loss, search and return of a board
     step        initial_state, make_step: one tick as a function, the fast path
-    slow_path   the slow path of a tick: commands, ramps, homing
-    causes      the fault of a sample, as its number
+    slow_path   the slow path of a tick: commands, ramps, homing; the fault of a sample, as its
+                number
     samples     lost and doubted samples, and the origin after them
     homing      HomingSearch: finds the stop or the index, or reports why it failed
     plan        Plan, TickConstants, ServoState: the intended state, and the constants of a tick;
                 flatten, unflatten: a checkpoint
     commands    one command on one plan
-    safety      TABLE: the state after each command, and the torque and damping of a state
+    safety      TABLE: the state after each command, and the torque and damping of a state; the
+                monitor while the signs are not verified
     inbox       Inbox: requests and faults due at a tick; Streamer: a waveform into the board's FIFO
-    board_check, watchdog_trial   checks of a board before it may make force; frames withheld
-    glitch, monitors       doubtful samples; signs of a limit cycle
-    easing, ramp_energy    the limits on the force step and on the energy of a change
-    commissioning          the monitor while the signs are not verified
+    connection, watchdog_trial  checks of a board before it may make force; frames withheld
+    samples, safety  doubtful samples; signs of a limit cycle
+    energy      the limits on the force step and on the energy of a change; ends an energy leak
+                before it becomes the fault `energy`
     compensation           the temperature of the winding and its compensation
-    energy_controller      ends an energy leak before it becomes the fault `energy`
-    late                   the cause of a late tick
 """

@@ -32,7 +32,6 @@ from hapticd.mailbox.layout import (
 )
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety, watchdog_trial
-from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
     FILTERED,
@@ -50,7 +49,7 @@ from hapticd.servo.plan import (
     with_values,
     without_origin,
 )
-from hapticd.servo.safety import GRANTED, LATCHED, State
+from hapticd.servo.safety import GRANTED, LATCHED, Push, State
 
 MOST_SCHEDULED = 16
 # places of a bounded change that its end does not restore

@@ -40,7 +40,7 @@ Without torque authority the homing starts again, and the slow path ends it afte
 press counts only if the motor carried half the current of F (`current_n_per_a`; 0: not checked).
 The true stop is at most F / k <= 2 d beyond the recorded one.
 
-A sample that bends the motion too far waits for the next ones (`servo.glitch`), and arrives here
+A sample that bends the motion too far waits for the next ones (`servo.samples`), and arrives here
 only if they continue from it: `_ticks` counts the samples in between.
 
 Limitations: friction above 3/4 F (reported), a stop softer than F / 2 d, play of the mechanism

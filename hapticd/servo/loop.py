@@ -34,7 +34,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.servo.connection import BoardConnection
 from hapticd.servo.inbox import Inbox, Streamer
-from hapticd.servo.late import ON_TIME, LateTicks
+from hapticd.servo.late import ON_TIME, LateTicks, Wait, first_deadline, rehearsal
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
@@ -46,9 +46,7 @@ from hapticd.servo.plan import (
     flatten,
     in_slots,
 )
-from hapticd.servo.rehearsal import rehearsal
 from hapticd.servo.step import initial_state, make_step
-from hapticd.servo.wait import Wait, first_deadline
 from hapticd.servo.watchdog_trial import WITHHELD, listens
 from hapticd.usb.codec import (
     NO_SAMPLES,

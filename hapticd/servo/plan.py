@@ -42,10 +42,17 @@ from hapticd.render.energy import Ledger
 from hapticd.render.law import Coefficients, LawInputs, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.render.winding import Winding, unheated
-from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import Homing
-from hapticd.servo.monitors import Signs, watches
-from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damping
+from hapticd.servo.safety import (
+    FAULT_EVENT,
+    GRANTED,
+    LATCHED,
+    Push,
+    Signs,
+    State,
+    held_damping,
+    watches,
+)
 from hapticd.usb.codec import U16_HIGHEST
 from hapticd.usb.frames import OutFlag, StatusBit
 
@@ -84,7 +91,7 @@ JUDGED = FILTERS.union(BUMPLESS, ADDED)  # parameters that a verdict depends on
 
 
 class Control(NamedTuple):
-    """Actions of the energy controller (servo.energy_controller)."""
+    """Actions of the energy controller (servo.energy)."""
 
     places: tuple[int, ...] = ()  # layout.Value: changed by it and not set by a client since
     tick: int = 0  # of its last step
@@ -121,10 +128,10 @@ class Plan(NamedTuple):
     limit_cycle_faults: bool = False
     origin_used: bool = False  # it was set, or enabled at, in this life of the servo
     origin_lost: bool = False  # a used one was lost; it must be found again
-    doubted: tuple[int, ...] = ()  # doubted encoder counts (servo.glitch)
+    doubted: tuple[int, ...] = ()  # doubted encoder counts (servo.samples)
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
     environment_revision: int = 0  # counts changes of environment and damping
-    bookings: tuple["Booking", ...] = ()  # of the last second (servo.ramp_energy)
+    bookings: tuple["Booking", ...] = ()  # of the last second (servo.energy)
     winding: Winding = Winding()  # with the compensation of its resistance
     control: Control = Control()
     push: Push = Push()  # followed while signs are not verified

@@ -26,9 +26,7 @@ from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Flag
 from hapticd.render.energy import EMPTY, EXCESS, FORCE, book
 from hapticd.render.law import MASS, at_rest, clamp, render
-from hapticd.servo.energy_controller import budget_j, lag
-from hapticd.servo.glitch import MOST_DOUBTED, believed_bend_m, stuck_out
-from hapticd.servo.monitors import CALM, ENERGY, at_limit, bounds, too_fast
+from hapticd.servo.energy import budget_j, lag
 from hapticd.servo.plan import (
     LINK_UP,
     NEVER,
@@ -41,6 +39,8 @@ from hapticd.servo.plan import (
     initial_plan,
     tick_constants,
 )
+from hapticd.servo.safety import CALM, ENERGY, at_limit, bounds, too_fast
+from hapticd.servo.samples import MOST_DOUBTED, believed_bend_m, stuck_out
 from hapticd.servo.slow_path import SlowPath
 from hapticd.usb.codec import ENCODER_BITS, I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import OutFlag
@@ -177,7 +177,7 @@ def make_step(params: ServoParams) -> Step:
         state: ServoState, sample: Sample, tick: int, flags: int, answers: tuple[Any, ...]
     ) -> tuple[ServoState, Output]:
         """Handle a doubted sample: the force is that of the straight continuation, and the law
-        stays as it was (`servo.glitch`).
+        stays as it was (`servo.samples`).
         """
         settled, law, ledger, held, signs = state
         encoder, _, _, _, host, _, *others = sample

@@ -62,7 +62,7 @@ FULL_SCALES = {
     "current_a_per_count": ("current_full_scale_a", I16_HIGHEST),
     "voltage_v_per_count": ("voltage_full_scale_v", I16_HIGHEST),
 }
-OVERSPEED = 0.7  # of the speed that counts as a sensor fault: see servo.monitors
+OVERSPEED = 0.7  # of the speed that counts as a sensor fault: see servo.safety
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 

@@ -9,7 +9,7 @@ from hapticd.core.environment import FilterParams
 from hapticd.model.theorem import required_damping
 from hapticd.render.energy import EMPTY, EXCESS, book
 from hapticd.render.law import at_rest, design_coefficients, render
-from hapticd.servo.monitors import bounds
+from hapticd.servo.safety import bounds
 
 
 def axis_limit(axis, sign, credited, delay):

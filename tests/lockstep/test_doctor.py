@@ -29,7 +29,7 @@ from hapticd.run.doctor.machine import (
     cores_in,
     requirements,
 )
-from hapticd.servo.wait import virtual_wait
+from hapticd.servo.late import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

@@ -18,8 +18,8 @@ from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
-from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
+from hapticd.servo.safety import Push, followed, push_ended
 
 FAULT = BY_CODE["commissioning"].number
 FAR = {Value.WALL_STIFFNESS: 5.0, Value.WALL_POSITION: -0.1, Value.WALL_SIDE: 1.0}  # -0.5 N at 0

@@ -21,8 +21,8 @@ from hapticd.core.params import ScaleParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import LockStep
-from hapticd.servo.board_check import uncompensated
 from hapticd.servo.compensation import compensated
+from hapticd.servo.connection import uncompensated
 from hapticd.servo.plan import (
     NO_TEMPERATURE,
     SETTLED,

@@ -32,7 +32,7 @@ from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.render.energy import EXCESS, at_rest
 from hapticd.render.ramp import Ramp
 from hapticd.run import replay
-from hapticd.servo.energy_controller import SHARE, halved, lag
+from hapticd.servo.energy import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
 from hapticd.servo.safety import State
 

@@ -24,7 +24,7 @@ from hapticd.run.doctor.checks import CheckResult
 from hapticd.run.doctor.machine import Requirements
 from hapticd.run.doctor.probes import FAIL, OK, WARN
 from hapticd.servo import host
-from hapticd.servo.wait import Wait, first_deadline, spinning_wait
+from hapticd.servo.late import Wait, first_deadline, spinning_wait
 
 __all__ = ["judge", "measure"]
 
