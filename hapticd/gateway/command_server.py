@@ -8,7 +8,7 @@ takes the requests, and `collect` returns the due replies, with timeouts for com
 word if other commands are ahead of it in the ring.
 
 A change of the environment first passes the guard (`guard.request_queue`), which uses another
-process; all other requests are posted at once. `guard.outstanding` keeps posted commands until they
+process; all other requests are posted at once. `guard.pending` keeps posted commands until they
 are answered.
 
 Each request has a deadline. A reply repeats only a bounded id and a few printable characters of a
@@ -23,8 +23,7 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.outstanding import Outstanding, Pending
-from hapticd.guard.pending import PendingChange, ends_force
+from hapticd.guard.pending import Outstanding, Pending, PendingChange, ends_force
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard

@@ -31,8 +31,7 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES
-from hapticd.guard.explain import VerdictBuilder, explain
-from hapticd.guard.safe_region import SafeRegion
+from hapticd.guard.safe_region import SafeRegion, VerdictBuilder, explain
 from hapticd.guard.transition_planner import (
     AXES,
     POINTS,

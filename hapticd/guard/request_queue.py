@@ -30,16 +30,16 @@ from typing import Any
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.outstanding import Outstanding
 from hapticd.guard.pending import (
+    Outstanding,
     PendingChange,
+    ScheduledChanges,
     ends_force,
     forbidden_by,
     former,
     stages_of,
 )
 from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
-from hapticd.guard.scheduled import ScheduledChanges
 from hapticd.guard.stages import ChangeReply, StagedChange
 from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
@@ -71,7 +71,7 @@ SERVO_GONE = "the servo ended before the change was in force; after its restart 
 class GuardedQueue:
     """The queue of requests to be judged, and the multi-stage change in progress.
 
-    Commands go into the servo's ring by `outstanding`; their answers return by `answered`. Every
+    Commands go into the servo's ring by `Outstanding`; their answers return by `answered`. Every
     pass checks `leases`: a request ends with the lease of its client.
     """
 

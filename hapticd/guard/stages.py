@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.in_force import IN_MOTION
-from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.pending import PendingChange
+from hapticd.guard.pending import Outstanding, PendingChange
+from hapticd.guard.terms import IN_MOTION
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import (
     ANY_TERMS,

@@ -21,12 +21,15 @@ from typing import Any, NamedTuple, Protocol
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
-from hapticd.guard.in_force import EnvironmentInForce
-from hapticd.guard.pending import PendingChange
-from hapticd.guard.scheduled import Fields
+from hapticd.guard.pending import Fields, PendingChange
 from hapticd.guard.stages import ramp_s
-from hapticd.guard.terms import Terms, TermsKeeper
+from hapticd.guard.terms import (
+    LEAST_RECORDS,
+    DelayHistogram,
+    EnvironmentInForce,
+    Terms,
+    TermsKeeper,
+)
 from hapticd.mailbox.layout import ANY_TERMS
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal

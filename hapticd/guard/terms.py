@@ -7,6 +7,24 @@ therefore kept in the runtime folder with the epoch of the servo. After a restar
 if they are no laxer than the configured ones (ADR-0018).
 
 Terms end with their servo; a laxer one ends with its gateway.
+
+Estimate the loop delay of the last minute, for the judgements of the guard.
+
+Each record contains `delay_us`, the delay from a sample to its force, for the force in effect when
+the record's own sample was taken. This module counts these delays by second, in steps of 1/16
+period. The guard uses the 99th percentile, rounded up to the next step. A longer delay counts at
+once; a shorter one counts after 10 s, because each new delay costs the worker 0.5 s. The theorem
+assumes a constant delay, and every verdict includes this limitation.
+
+The delay must be rounded up, and a minute without records must not count the one before.
+
+Determine the environment in force from the newest record and the last answer of the servo.
+
+`target` is the end of the ramps in progress, `now` the environment that acts in the newest record.
+Records do not contain the wall's damping during a ramp, nor its side once it is rounded to 0. For
+these the value counts that may still act and is furthest from the target.
+
+Limitations: record and answers may belong to different revisions for a moment (see `known`).
 """
 
 import json
@@ -14,12 +32,18 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
+from hapticd.core.environment import FIELDS, Environment
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import STRICT_POLICIES, BasisName, Policy
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, US_PER_S
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
+from hapticd.mailbox.layout import Flag, Value, newer
+from hapticd.protocol.commands import rendered
 from hapticd.protocol.journal import Journal
-from hapticd.protocol.view import ServoView
+from hapticd.protocol.view import Records, ServoView
 
 RETRY_NS = NS_PER_S  # after a failed write
 STRICTNESS = {"off": 0, "warn": 1} | dict.fromkeys(STRICT_POLICIES, 2)
@@ -120,3 +144,194 @@ class TermsKeeper:
                 mode="auto" if terms.auto else "",
             )
         return terms
+
+
+STEPS = 16  # of a period
+MOST_PERIODS = 16
+BINS = STEPS * MOST_PERIODS + 1  # the last bin includes all longer delays
+KEPT_S = 60
+SHARE = 0.99
+LEAST_RECORDS = 500  # before the first percentile
+SHORTER_S = 10
+
+
+class DelayHistogram:
+    """Histogram of the delays of the last KEPT_S seconds, at a servo rate [Hz]."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._steps_per_us = STEPS * rate_hz / US_PER_S
+        self.clear()
+
+    def clear(self) -> None:
+        """Start again, for another servo life."""
+        self._counts = np.zeros((KEPT_S, BINS), np.int64)  # by second, modulo KEPT_S
+        self._total = np.zeros(BINS, np.int64)  # over all seconds
+        self._newest = -KEPT_S  # s
+        self.periods: float | None = None  # a multiple of 1/16; None: not yet known
+        self._shorter_since: int | None = None  # s
+
+    def add(self, records: Records) -> None:
+        """Count the records whose delay is known."""
+        delay_us = records["delay_us"]
+        known = delay_us >= 0
+        seconds = records["time_ns"][known] // NS_PER_S
+        if not seconds.size:
+            return
+        # tolerate floating-point rounding at a step
+        steps = np.ceil(delay_us[known] * self._steps_per_us - 1e-6).astype(np.int64)
+        for second in sorted(set(seconds.tolist())):
+            self._count(second, np.minimum(steps[seconds == second], BINS - 1))
+        self._follow()
+
+    def _count(self, second: int, steps: NDArray[np.int64]) -> None:
+        if second <= self._newest - KEPT_S:
+            return  # too old: a clock was set back
+        for begun in range(max(self._newest, second - KEPT_S) + 1, second + 1):
+            self._total -= self._counts[begun % KEPT_S]
+            self._counts[begun % KEPT_S] = 0
+        counts = np.bincount(steps, minlength=BINS)
+        self._counts[second % KEPT_S] += counts
+        self._total += counts
+        self._newest = max(self._newest, second)
+
+    def _follow(self) -> None:
+        """Update the delay that 99 % of the ticks did not exceed, in periods; shorter
+        ones later.
+        """
+        below = np.cumsum(self._total)
+        if below[-1] < LEAST_RECORDS:
+            return
+        measured = float(np.searchsorted(below, SHARE * below[-1]) / STEPS)
+        if self.periods is None or measured >= self.periods:
+            self.periods = measured
+            self._shorter_since = None
+            return
+        since = self._newest if self._shorter_since is None else self._shorter_since
+        self._shorter_since = since
+        if self._newest - since >= SHORTER_S:
+            self.periods = measured
+            self._shorter_since = None
+
+
+IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
+# columns with the acting values; side and active damping need more than the record
+COLUMNS = {
+    one.path: one.column
+    for one in FIELDS
+    if one.column and one.path not in ("wall.side", "active_damping_ns_per_m")
+}
+
+
+class WallDamping:
+    """The damping of the wall, which no record contains: the start of its ramp, until the ramp
+    ends.
+    """
+
+    def __init__(self) -> None:
+        self._life = 0
+        self._begun = self._end = 0.0
+
+    def follow(self, life: int, target: float, moving: bool) -> float:
+        """Return the value that may still act and is furthest from `target`."""
+        if life != self._life or (target == self._end and not moving):
+            self._life = life
+            self._begun = self._end = target
+        if target != self._end:
+            self._begun = self._end
+            self._end = target
+        return self._begun
+
+
+class WallSide:
+    """The side of a wall that may still act: it ramps to 0, and records round it."""
+
+    def __init__(self) -> None:
+        self.value = 0
+
+    def follow(self, records: Any) -> None:
+        """Take `records`: a side counts until a record shows 0 without motion."""
+        walled = np.flatnonzero(records["wall_side"])
+        if walled.size:
+            self.value = int(records["wall_side"][walled[-1]])
+        after = records[walled[-1] + 1 :] if walled.size else records
+        if after.size and not bool((after["flags"] & int(IN_MOTION)).all()):
+            self.value = 0
+
+
+class EnvironmentInForce:
+    """The environment in force at the servo of `view`."""
+
+    def __init__(self, view: ServoView) -> None:
+        self._view = view
+        self._wall_damping = WallDamping()
+        self._side = WallSide()
+
+    def begin(self) -> None:
+        """Start a new servo life."""
+        self._side.value = 0
+
+    def follow(self, records: Any) -> None:
+        """Take telemetry `records`, each once and in order."""
+        self._side.follow(records)
+
+    @property
+    def known(self) -> bool:
+        """Whether record and answers belong to the same environment."""
+        same = self._answered_revision == self.revision
+        return self._view.alive and not self._view.unsure and same
+
+    @property
+    def ahead_of_answers(self) -> bool:
+        """Whether the newest record has an environment whose answer is not yet known."""
+        return self._view.alive and newer(self.revision, self._answered_revision)
+
+    @property
+    def _answered_revision(self) -> int:
+        return int(self._view.targets[Value.ENVIRONMENT_REVISION])
+
+    @property
+    def revision(self) -> int:
+        """Revision of the environment in the newest record; -1 before the first."""
+        return int(self._view.record.get("environment_revision", -1))
+
+    @property
+    def controlled(self) -> bool:
+        """Whether the energy controller of the servo holds more damping, or less K and B, than
+        requested.
+        """
+        return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
+
+    def target(self) -> Environment:
+        """Return the end of the ramps in progress."""
+        return rendered(self._view.targets)
+
+    def now(self) -> Environment:
+        """Return the environment that acts in the newest record."""
+        record = self._view.record
+        target = self.target()
+        moving = bool(int(record["flags"]) & IN_MOTION)
+        wall_damping = self._wall_damping.follow(
+            self._view.life, target.wall.virtual_damping_ns_per_m, moving
+        )
+        effect = record["active_damping_effect_ns_per_m"]
+        return target.with_values(
+            {path: record[column] for path, column in COLUMNS.items()}
+            | {
+                "wall.virtual_damping_ns_per_m": wall_damping,
+                "wall.side": record["wall_side"] or (self._side.value if moving else 0),
+                # NaN: the board did not report it
+                "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,
+            }
+        )
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is rendered: K, B, M and the wall are 0, now and at the end of
+        the ramps.
+        """
+        return self.now().empty and self.target().empty
+
+    @property
+    def level(self) -> float:
+        """Active damping that `damping on` would set, N s/m."""
+        return float(self._view.targets[Value.ACTIVE_DAMPING])

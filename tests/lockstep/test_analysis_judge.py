@@ -8,8 +8,8 @@ from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shi
 
 from hapticd.core.errors import ConfigError
 from hapticd.guard import policies
-from hapticd.guard.explain import doubling_text
 from hapticd.guard.judge import Judge
+from hapticd.guard.safe_region import doubling_text
 from hapticd.guard.transition_planner import POINTS
 from hapticd.model.coupled import coupled_radius, destabilising_hand
 

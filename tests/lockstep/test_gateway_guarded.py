@@ -9,8 +9,8 @@ from support.gateway_rig import CommandServerRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 from support.guard_stub import StubWorker, applies, refuses, stage, verdict
 
-from hapticd.guard.in_force import WallSide
 from hapticd.guard.status import MOST_RECORDS
+from hapticd.guard.terms import WallSide
 from hapticd.mailbox.layout import Command, Flag, State, Value
 
 BOUND = 1 << Value.ENVIRONMENT_REVISION

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.delay import LEAST_RECORDS, SHORTER_S, DelayHistogram
+from hapticd.guard.terms import LEAST_RECORDS, SHORTER_S, DelayHistogram
 from hapticd.protocol.view import RECORD_DTYPE
 
 
