@@ -43,7 +43,7 @@ own noise. A point is wrong where the search, or the prediction alone, differs f
 shares are relative to the passive points.
 
 Limitations: Eq. 2 of the paper for B < 0, where it relaxes (`model.theorem` refuses it). A level at
-which the damping circuit itself oscillates (`model.stability`), or one that no board can command.
+which the damping circuit itself oscillates (`model.discrete`), or one that no board can command.
 """
 
 from dataclasses import dataclass, field, replace

@@ -11,7 +11,7 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 with deferred_imports():
-    from hapticd.model import compose, stability
+    from hapticd.model import compose, discrete
     from hapticd.model import scene as model_scene
     from hapticd.settings import scene as scenes
     from hapticd.studies import accuracy as accuracies
@@ -108,7 +108,7 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """
     loaded = scenes.load_scene(scene)
     levels = sorted({step.level_ns_per_m for step in loaded.active_damping})
-    found = stability.explain(compose.compose(loaded), levels)
+    found = discrete.explain(compose.compose(loaded), levels)
     spent = accuracies.cost(loaded, scene, time.process_time_ns)
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     lines = [

@@ -422,7 +422,7 @@ class RotorForce:
 
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """Limits of current and voltage on the motor force, see `model.drive`. `motor_force` and
+    """Limits of current and voltage on the motor force, see `model.friction`. `motor_force` and
     `velocity` are states.
     """
 

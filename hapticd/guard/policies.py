@@ -44,7 +44,7 @@ from hapticd.guard.transition_planner import (
     moving_groups,
     sampled_segment,
 )
-from hapticd.model.stability import edge
+from hapticd.model.discrete import edge
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # above the required margin, before auto selects a lower level

@@ -9,15 +9,15 @@ The device:
 
     effects      every effect of a device, one class each; KINDS, ALWAYS, BY_KEY
     scene        Scene, Excitation, DampingStep: the content of a simulation, in plain values
-    compose      compose(scene), compose_device(name, effects): the composed Model
+    compose      compose(scene), compose_device(name, effects): the composed Model;
+                 board_fields(model): a model as the numbers of board.json
     model        Model and its parts, as frozen values
-    discrete     discretise(model, duration_s): the exact map over a step; expm; `computable`
-    stability    stability, modes, damping_ceiling, explain
+    discrete     discretise(model, duration_s): the exact map over a step; expm; `computable`;
+                 stability, modes, damping_ceiling, explain
     excitation   torque_record: perturbation torque at 4 kHz
-    friction     stick_one, stick_two: Coulomb friction solved exactly over a sub-step
-    drive        reach: the motor force within the limits of the amplifier
+    friction     stick_one, stick_two: Coulomb friction solved exactly over a sub-step; reach: the
+                 motor force within the limits of the amplifier
     step         make_plant(board parameters): the plant of a simulated board
-    tables       board_fields(model): a model as the numbers of board.json
     touch        contacts of the moving part: stops, a hand
     composed     the step of a composed model, as generated text
     blueprint    Blueprint and Form: the target of effects during composition
@@ -28,9 +28,9 @@ The sampled loop:
     linearise    Coulomb friction as a damper of equal power
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     rational     `rational`, `positive_everywhere`: the theorem at all angles, without a grid
-    angles       the angles at which a device is evaluated, dense about its modes
-    narrow       narrow dips of Re Z, searched for at the poles of the loop
-    coupled      `withstands`, `shaking_hand`: stability in passive hands
+    angles       the angles at which a device is evaluated, dense about its modes; narrow dips of Re
+                 Z, searched for at the poles of the loop
+    coupled      `withstands`, `shaking_hand`: stability in passive hands; `forecast`: all of these
+                 for one environment
     predict      `predict`, `predicted_impedance`: passivity without a trial
-    forecast     `forecast`: all of these for one environment
 """

@@ -45,8 +45,7 @@ from hapticd.core.params import (
     RotorForce,
 )
 from hapticd.core.units import COPPER_PER_K
-from hapticd.model.drive import reach
-from hapticd.model.friction import stick_two
+from hapticd.model.friction import reach, stick_two
 
 __all__ = ["VELOCITY", "State"]
 
@@ -404,7 +403,7 @@ def _substep(terms: RowTerms, substep_s: float) -> list[str]:
 
 
 def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) -> list[str]:
-    """Write the limit of the motor force by current and voltage (`drive`), before friction."""
+    """Write the limit of the motor force by current and voltage (`reach`), before friction."""
     force = limits.motor_force
     can = reach(limits, substep_s)
     return [

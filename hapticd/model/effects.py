@@ -394,7 +394,7 @@ class Amplifier(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierLimits(Effect):
-    """Limits of current and voltage on command and active damping together (`model.drive`)."""
+    """Limits of current and voltage on command and active damping together (`model.friction`)."""
 
     key: ClassVar[str] = "amplifier_limits"
     why: ClassVar[str] = (

@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
+from hapticd.model.angles import MinimumRealPart, min_real_part, mode_lines
 from hapticd.model.linearise import (
     Linearised,
     Perturbation,
@@ -44,7 +45,6 @@ from hapticd.model.loop import (
     spectral_radius,
 )
 from hapticd.model.model import Model
-from hapticd.model.narrow import MinimumRealPart, min_real_part, mode_lines
 
 __all__ = [
     "DEFAULT_BAND_HZ",

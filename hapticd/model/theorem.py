@@ -48,6 +48,7 @@ import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.model.angles import angles_of, least_between, vertices
+from hapticd.model.discrete import edge
 from hapticd.model.loop import (
     PAPER_FILTERS,
     Filters,
@@ -58,7 +59,6 @@ from hapticd.model.loop import (
 )
 from hapticd.model.model import Model
 from hapticd.model.predict import environments
-from hapticd.model.stability import edge
 
 __all__ = [
     "NOWHERE",

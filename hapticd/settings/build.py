@@ -198,8 +198,7 @@ def board_of(
 def _composed(
     device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]
 ) -> dict[str, Any]:
-    from hapticd.model.compose import compose_device, refuse_unstable
-    from hapticd.model.tables import board_fields
+    from hapticd.model.compose import board_fields, compose_device, refuse_unstable
 
     model = compose_device(device.name, effects, rate_hz)
     refuse_unstable(model, (0.0, *exact_levels))

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.model.discrete import AtLevel, Explanation
 from hapticd.model.scene import Scene
-from hapticd.model.stability import AtLevel, Explanation
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost

@@ -6,7 +6,7 @@ with the level of `damping on`. The temperature of a winding that warms up comes
 growing length, because a trial reports it only at its end.
 
 The largest active damping of the device is found by bisection on the eigenvalues of the open device
-in continuous time (`model.stability`). The largest with the scene's environment uses those of the
+in continuous time (`model.discrete`). The largest with the scene's environment uses those of the
 exact map of one servo tick (`model.loop`), without Coulomb friction. Above the first the analog
 circuit oscillates whatever the servo does. The second is a range, because too little damping can be
 unstable as well. The resistance compensation limits the device (Weir, Colgate and Peshkin 2008,
@@ -44,12 +44,11 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose, compose_device
-from hapticd.model.discrete import expm
+from hapticd.model.discrete import damping_ceiling, edge, expm, modes, stability
 from hapticd.model.effects import WindingTemperature
 from hapticd.model.loop import spectral_radius
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import Scene
-from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.engine.batch import BatchResult, simulate

@@ -79,5 +79,5 @@ def test_the_whole_path_loads_no_simulator():
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     loaded = told.stdout.split()
     assert "hapticd.rig.steps.motor" in loaded, told.stderr
-    simulators = ("hapticd.sim", "hapticd.zwidth.engine", "hapticd.run", "hapticd.model.tables")
+    simulators = ("hapticd.sim", "hapticd.zwidth.engine", "hapticd.run", "hapticd.model.compose")
     assert not [name for name in loaded if name.startswith(simulators)]

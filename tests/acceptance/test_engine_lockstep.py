@@ -16,8 +16,8 @@ from support.models import COUNT_N, servo_params
 
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.compose import board_fields
 from hapticd.model.effects import DampingDac, ForceDac, Saturation
-from hapticd.model.tables import board_fields
 from hapticd.run import lockstep
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

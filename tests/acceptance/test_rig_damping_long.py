@@ -16,7 +16,7 @@ from hapticd.cli.rig import steps
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.model.compose import compose_device
+from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import (
     Amplifier,
     Coulomb,
@@ -26,7 +26,6 @@ from hapticd.model.effects import (
     Viscous,
     WindingTemperature,
 )
-from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
 from hapticd.rig.experiment import push, ready
 from hapticd.rig.steps.coast_down import fit_momentum

@@ -6,8 +6,8 @@ from support.analysis_devices import display
 from support.analysis_narrow import DENSE, GRID, flexible, resistance
 
 from hapticd.model import predict as module
+from hapticd.model.angles import min_between_lines, mode_lines
 from hapticd.model.linearise import Perturbation
-from hapticd.model.narrow import min_between_lines, mode_lines
 from hapticd.model.predict import predict
 
 

@@ -7,8 +7,7 @@ import pytest
 from support.analysis_devices import rigid
 
 from hapticd.cli.app import main
-from hapticd.model.coupled import Hand, held_by
-from hapticd.model.forecast import forecast
+from hapticd.model.coupled import Hand, forecast, held_by
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.theorem import required_damping

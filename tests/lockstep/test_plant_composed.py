@@ -15,6 +15,7 @@ from support.plant_devices import EFFECTS, N_PER_A, weir_device
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import from_plain, to_plain
+from hapticd.model.compose import board_fields, plant_params
 from hapticd.model.composed import Lookup, RowTerms, composed_source, composed_step
 from hapticd.model.discrete import discretise
 from hapticd.model.effects import (
@@ -26,7 +27,6 @@ from hapticd.model.effects import (
     WorkspaceEnds,
 )
 from hapticd.model.step import make_plant
-from hapticd.model.tables import board_fields, plant_params
 
 
 def test_stuck_body_stands_exactly_still():

@@ -13,6 +13,7 @@ from support.straight import Straight
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.compose import compose
+from hapticd.model.discrete import explain
 from hapticd.model.effects import (
     Crowbar,
     DampingCircuit,
@@ -20,7 +21,6 @@ from hapticd.model.effects import (
     WindingTemperature,
     copper_ohm,
 )
-from hapticd.model.stability import explain
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.shape import reduced

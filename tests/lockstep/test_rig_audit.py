@@ -10,7 +10,7 @@ from support.rig_hand import Hand
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.model.compose import compose_device
+from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import (
     Amplifier,
     Coulomb,
@@ -21,7 +21,6 @@ from hapticd.model.effects import (
     WindingHeating,
     WindingTemperature,
 )
-from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
 from hapticd.rig.steps.delivery import measure_delivery, measure_residual
 

@@ -13,7 +13,7 @@ from typing import Any
 from hapticd.core.clock import Clock
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ
-from hapticd.model.compose import compose_device
+from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import (
     Amplifier,
     Coulomb,
@@ -30,7 +30,6 @@ from hapticd.model.effects import (
     WorkspaceEnds,
 )
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
-from hapticd.model.tables import board_fields
 from hapticd.sim.axis import Axis, Probe, i16_count
 from hapticd.sim.backend import make_backend
 from hapticd.sim.board import VENDOR_IN, BoardModel, hello

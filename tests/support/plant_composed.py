@@ -2,6 +2,7 @@
 effects that the model does not have.
 """
 
+from hapticd.model.compose import plant_params
 from hapticd.model.discrete import discretise
 from hapticd.model.effects import (
     AmplifierLimits,
@@ -13,7 +14,6 @@ from hapticd.model.effects import (
     VelocityHighpass,
 )
 from hapticd.model.friction import stick_one, stick_two
-from hapticd.model.tables import plant_params
 from support.boards import board_params
 from support.plant_devices import FULL, weir_device
 from support.straight import held_force

@@ -6,6 +6,7 @@ import pytest
 from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 from support.plant_devices import FULL, weir_device
 
+from hapticd.model.compose import board_fields
 from hapticd.model.discrete import discretise
 from hapticd.model.effects import (
     AntiAlias,
@@ -16,7 +17,6 @@ from hapticd.model.effects import (
     WorkspaceEnds,
 )
 from hapticd.model.model import Model
-from hapticd.model.tables import board_fields
 from hapticd.sim.axis import Axis, Probe
 from hapticd.sim.board import BoardModel
 from hapticd.usb.frames import StatusBit

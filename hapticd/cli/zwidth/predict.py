@@ -12,7 +12,7 @@ from hapticd.cli.zwidth import common
 with deferred_imports():
     import numpy as np
 
-    from hapticd.model import coupled, forecast, linearise, predict
+    from hapticd.model import coupled, linearise, predict
     from hapticd.zwidth import scenes, sources, store
 
 
@@ -48,9 +48,7 @@ def command(
     common.require_within(
         scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
     )
-    found = forecast.forecast(
-        shown.model, (k, b, m), level, shown.filters, shown.perturbation, band
-    )
+    found = coupled.forecast(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     drive = shown.model.drive
     about: dict[str, Any] = {"simulated": True, "device": shown.scene.device}
     lines = [
@@ -73,7 +71,7 @@ def _require_finite(values: dict[str, float]) -> None:
 
 
 def _lines(
-    found: "forecast.Forecast", perturbation: "linearise.Perturbation"
+    found: "coupled.Forecast", perturbation: "linearise.Perturbation"
 ) -> list[tuple[str, str]]:
     motion = _motion(found.radius, found.period_s)
     prediction = f"{_least(found.true)}, {_friction(found.true)}"
@@ -87,7 +85,7 @@ def _lines(
     ]
 
 
-def _verdict(found: "forecast.Forecast") -> str:
+def _verdict(found: "coupled.Forecast") -> str:
     prediction = found.true
     if found.refused:
         seen = "" if prediction.margin_ns_per_m[0] < 0.0 else ", though Re Z >= 0 all over the band"
@@ -110,7 +108,7 @@ def _motion(radius: float, period_s: float) -> str:
     return f"motion {how} in {seconds:.3g} s"
 
 
-def _theorem(found: "forecast.Forecast") -> str:
+def _theorem(found: "coupled.Forecast") -> str:
     if found.refused or not found.stable:
         return "no answer: it presumes K >= 0 and a stable loop"
     if found.theorem_passive:
@@ -135,7 +133,7 @@ def _amplitude(perturbation: "linearise.Perturbation") -> str:
     return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
 
 
-def _hand(found: "forecast.Forecast") -> str:
+def _hand(found: "coupled.Forecast") -> str:
     if found.refused or not found.stable:
         return "none is needed: it is unstable without a hand" if not found.stable else "not sought"
     if found.withstands:
@@ -158,7 +156,7 @@ def _named(hand: "coupled.Hand") -> str:
 
 
 def _forecast_json(
-    found: "forecast.Forecast", point: tuple[float, float, float], level: float
+    found: "coupled.Forecast", point: tuple[float, float, float], level: float
 ) -> dict[str, Any]:
     perturbation = found.true.perturbation
     numbers: dict[str, Any] = {
@@ -196,7 +194,7 @@ def _judged(prediction: "predict.Prediction") -> dict[str, Any]:
     }
 
 
-def _built(found: "forecast.Forecast") -> dict[str, Any] | None:
+def _built(found: "coupled.Forecast") -> dict[str, Any] | None:
     if found.shaker is None:
         return None
     hand = found.shaker.hand

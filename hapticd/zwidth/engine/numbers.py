@@ -12,7 +12,7 @@ import numpy as np
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import discretise, drive_response_s
-from hapticd.model.drive import reach
+from hapticd.model.friction import reach
 from hapticd.model.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
 from hapticd.zwidth.engine.shape import Shape, sample_point

@@ -566,7 +566,7 @@ def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
 
 
 def _limited(shape: Shape, drive: DriveStates, row: Rows) -> Iterator[str]:
-    """The motor force held inside what current and voltage reach (`model.drive`)."""
+    """The motor force held inside what current and voltage reach (`model.friction`)."""
     force = f"n{drive.motor_force}"
     yield from clamped("o", force, row.c("MOST"))
     yield from _block(f"""
