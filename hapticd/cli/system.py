@@ -24,7 +24,7 @@ from hapticd.mailbox.files import SERVO_JSON, runtime_folder
 from hapticd.protocol.answers import Status, answer_of
 
 with deferred_imports():
-    from hapticd.protocol import auth, journal
+    from hapticd.protocol import journal, leases
     from hapticd.recording import calibrations
     from hapticd.run import resolve
     from hapticd.run import system_files as service
@@ -56,7 +56,7 @@ def check_config(
     rules = load.MoreRules(_simulation_and_network_rules, _template_rules)
     settings = load.load(file or config, also=rules)
     gateway = build.gateway_params(settings)
-    if auth.in_the_clear(gateway):
+    if leases.in_the_clear(gateway):
         warning = journal.sentence("telemetry_open", address=gateway.tcp_host)
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     servo = resolve.resolve(settings, terminal.INSTANCE)[SERVO_JSON]
@@ -76,9 +76,9 @@ def check_config(
 
 def _simulation_and_network_rules(config: "config_files.Config") -> Iterator["load.Mistake"]:
     """Yield unknown injections, and unencrypted telemetry on the network."""
-    if auth.without_leave(config.gateway):
+    if leases.without_leave(config.gateway):
         host = repr(config.gateway.tcp_host)
-        yield load.Mistake(("gateway", "tcp_host"), host, auth.LEAVE_NEEDED)
+        yield load.Mistake(("gateway", "tcp_host"), host, leases.LEAVE_NEEDED)
     for place, one in enumerate(config.simulation.injections):
         if one.kind not in injection.KINDS:
             reason = f"is unknown; use one of {', '.join(injection.KINDS)}"

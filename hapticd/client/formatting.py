@@ -19,7 +19,7 @@ from hapticd.protocol.answers import (
     Timing,
     TimingCost,
 )
-from hapticd.protocol.explanation import Explanation
+from hapticd.protocol.journal import Explanation
 from hapticd.protocol.limits import PLACES
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import zmq
 
 from hapticd.client.telemetry import Subscription, TelemetryReader
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.protocol import zmq_monitor
+from hapticd.protocol import keys as zmq_monitor
 from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair
 
 EVENTS = (

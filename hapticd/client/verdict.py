@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from hapticd.client.formatting import verdict_lines
 from hapticd.core.errors import GuardWarning
 from hapticd.protocol.answers import GuardVerdict, Receipt
-from hapticd.protocol.explanation import Explanation
+from hapticd.protocol.journal import Explanation
 
 if TYPE_CHECKING:
     from hapticd.client.sequence import StepReceipt

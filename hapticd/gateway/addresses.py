@@ -29,7 +29,7 @@ from hapticd.mailbox.files import (
     remove,
     write_whole,
 )
-from hapticd.protocol import auth
+from hapticd.protocol import leases
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 from hapticd.protocol.journal import EventCode, sentence
 
@@ -65,7 +65,7 @@ class Sockets:
         self._selector = selector
         params = setup.gateway
         self.warnings: list[tuple[EventCode, dict[str, Any]]] = []
-        if auth.in_the_clear(params):
+        if leases.in_the_clear(params):
             self.warnings.append(("telemetry_open", {"address": params.tcp_host}))
         self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
         self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
@@ -86,7 +86,7 @@ class Sockets:
         port = port_for(params, instance)
         listener = bound_tcp(params.tcp_host, port)
         tcp = endpoint_of(listener)
-        if auth.needs_keys(params):
+        if leases.needs_keys(params):
             self.relay = self._guarded(telemetry, listener, tcp, params)
         else:
             self.telemetry.listen(listener)

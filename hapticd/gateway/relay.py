@@ -38,7 +38,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS, PROBE_S, SILENCE_S
 from hapticd.guard.worker import LENGTH
-from hapticd.protocol import zmq_monitor
+from hapticd.protocol import keys as zmq_monitor
 from hapticd.protocol.keys import Clients, server_pair
 
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and those of the process itself

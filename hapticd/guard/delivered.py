@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.mailbox.layout import Flag
-from hapticd.protocol.ledger import CONTEXT, samples
-from hapticd.protocol.view import Records, joined
+from hapticd.protocol.view import CONTEXT, Records, joined, samples
 from hapticd.signal.delivered import (
     ACCELERATION,
     COLUMNS,

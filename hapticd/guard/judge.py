@@ -46,7 +46,7 @@ from hapticd.guard.transition_planner import from_message
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
-from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
 
 __all__ = ["Judge"]
 

@@ -45,7 +45,7 @@ from hapticd.guard.transition_planner import (
     sampled_segment,
 )
 from hapticd.model.discrete import edge
-from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # above the required margin, before auto selects a lower level
 _HALVINGS = 12  # between the last safe point and the first unsafe one

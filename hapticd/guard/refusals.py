@@ -5,14 +5,7 @@ from typing import Any
 from hapticd.core.errors import CommandError
 from hapticd.guard.pending import PendingChange
 from hapticd.guard.status import Guard
-from hapticd.protocol.explanation import (
-    Explanation,
-    Outcome,
-    Reason,
-    Remedy,
-    because,
-    explanation_of,
-)
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because, explanation_of
 
 
 def refused(change: PendingChange, why: Explanation) -> CommandError:

@@ -47,8 +47,7 @@ from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, LATCHED, Command, Result, Value, values_of
 from hapticd.protocol.codec import INTERNAL_REQUEST
 from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
-from hapticd.protocol.explanation import Reason, because
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, sentence
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Reason, because, sentence
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Change, Damping
 from hapticd.protocol.view import ServoView

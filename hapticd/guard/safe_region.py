@@ -32,7 +32,7 @@ from hapticd.guard.transition_planner import AXES
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
-from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
 
 __all__ = ["passive_ranges", "ranges_of"]
 

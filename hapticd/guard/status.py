@@ -31,8 +31,7 @@ from hapticd.guard.terms import (
     TermsKeeper,
 )
 from hapticd.mailbox.layout import ANY_TERMS
-from hapticd.protocol.explanation import Outcome, Reason, because
-from hapticd.protocol.journal import Journal
+from hapticd.protocol.journal import Journal, Outcome, Reason, because
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import GuardRequest
 from hapticd.protocol.view import ServoView

@@ -1,12 +1,16 @@
 """The messages between the daemon and its clients: no socket, no clock.
 
-schemas      requests, one strict model for each command answers      replies, as frozen
-dataclasses: the one schema of replies codec        msgpack or JSON, within hard limits; a request
-with its sender commands     interlocks; requests as commands of the mailbox, answers as receipts
-limits       the range of each parameter leases       the exclusive rights of clients explanation
-outcome, reasons and remedies of the guard, as typed entries telemetry    tick records as the
-messages of each topic view         the servo as seen by its mailbox and its newest record ledger
-the energy ledger of the topic, from tick records journal      events and the actors behind them
-flight       the flight recorder and its file auth, keys   access by address; files of CURVE keys
-zmq_monitor  libzmq's events about the connections of a socket
+schemas      requests, one strict model for each command
+answers      replies, as frozen dataclasses: the one schema of replies
+codec        msgpack or JSON, within hard limits; a request with its sender
+commands     interlocks; requests as commands of the mailbox, answers as receipts
+limits       the range of each parameter
+leases       the exclusive rights of clients; access by address
+journal      events and the actors behind them; outcome, reasons and remedies of the guard, as typed
+             entries
+telemetry    tick records as the messages of each topic
+view         the servo as seen by its mailbox and its newest record; the energy ledger of the topic,
+             from tick records
+flight       the flight recorder and its file
+keys         files of CURVE keys; libzmq's events about the connections of a socket
 """

@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import ServoParams
-from hapticd.protocol.explanation import Entry
+from hapticd.protocol.journal import Entry
 
 __all__ = [
     "LEAST_IDLE_SHARE",

@@ -5,7 +5,7 @@ msgpack value: a map or an array of maps. ZeroMQ matches subscriptions by prefix
 must be the plain name of the topic, because PlotJuggler subscribes to the text that its user types.
 To keep `servo.raw` from subscribers of `servo`, a subscription to the name of a topic selects that
 topic only. Another prefix (`""`, `s`, `servo.`) selects all topics that start with it.
-The relay of `auth` uses libzmq, where `servo` includes `servo.raw` while another client has
+The relay of `leases` uses libzmq, where `servo` includes `servo.raw` while another client has
 subscribed to that. hapticd's client therefore compares the first frame with the topic; generic
 decoders skip a map of a few numbers and one binary.
 
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from hapticd.core.params import DeviceParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, PROBE_RATE_HZ
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, TELEMETRY, Flag
-from hapticd.protocol.ledger import NAMES as LEDGER
+from hapticd.protocol.view import NAMES as LEDGER
 from hapticd.protocol.view import Records, ServoView, as_records, last_torn
 from hapticd.usb import frames
 from hapticd.usb.codec import PROBE_INDEX_BITS, unwrap

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.protocol.ledger import NAMES, Ledger
+from hapticd.protocol.view import NAMES, Ledger
 from hapticd.recording.file import Recording
 
 __all__ = ["total_j"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight, recorded_into
 
-from hapticd.protocol.ledger import NAMES, Ledger
+from hapticd.protocol.view import NAMES, Ledger
 from hapticd.recording.energy import DATASETS, GROUP, energies, total_j
 from hapticd.recording.file import open_recording
 

@@ -14,7 +14,7 @@ from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import GatewayParams
 from hapticd.gateway.server import GatewayServer
-from hapticd.protocol import auth
+from hapticd.protocol import leases
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ from hapticd.protocol import auth
     ],
 )
 def test_loopback_is_recognised(host: str, loopback: bool) -> None:
-    assert auth.is_loopback(host) == loopback
+    assert leases.is_loopback(host) == loopback
 
 
 def test_open_network_is_refused() -> None:
@@ -43,12 +43,12 @@ def test_open_network_is_refused() -> None:
             r" gateway.curve_keys"
         ),
     ):
-        auth.in_the_clear(GatewayParams(tcp_host="0.0.0.0"))
+        leases.in_the_clear(GatewayParams(tcp_host="0.0.0.0"))
 
 
 def test_loopback_and_keys_need_no_warning() -> None:
-    assert not auth.in_the_clear(GatewayParams())
-    assert not auth.in_the_clear(GatewayParams(tcp_host="0.0.0.0", curve_keys="keys"))
+    assert not leases.in_the_clear(GatewayParams())
+    assert not leases.in_the_clear(GatewayParams(tcp_host="0.0.0.0", curve_keys="keys"))
 
 
 def test_insecure_leave_is_a_loud_event(tmp_path: Path) -> None:

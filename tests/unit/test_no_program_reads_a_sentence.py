@@ -17,7 +17,7 @@ from hapticd.core.faults import Fault
 from hapticd.core.params import ScaleParams
 from hapticd.model.effects import Effect
 from hapticd.protocol.answers import Event, GuardVerdict, LeaseReleased
-from hapticd.protocol.explanation import Entry
+from hapticd.protocol.journal import Entry
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.run.doctor.checks import CheckResult
