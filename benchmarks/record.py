@@ -21,10 +21,9 @@ from hapticd.client import Client
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import RECORD
 from hapticd.protocol.telemetry import PROBE_DTYPE as PROBE
-from hapticd.recording.file import open_recording
+from hapticd.recording.file import open_recording, replay_recording
 from hapticd.recording.pack import pack
 from hapticd.recording.recorder import RecordingParams
-from hapticd.recording.replay import replay_recording
 
 TARGETS = targets.of("record")
 SETTLED_S = 3.0

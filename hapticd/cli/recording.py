@@ -21,9 +21,10 @@ from hapticd.mailbox.layout import Value
 from hapticd.protocol.limits import PLACES
 
 with deferred_imports():
-    from hapticd.recording import energy, pack, recorder
+    from hapticd.recording import file as energy
     from hapticd.recording import file as files
-    from hapticd.recording import replay as replays
+    from hapticd.recording import file as replays
+    from hapticd.recording import pack, recorder
     from hapticd.zwidth import store
     from hapticd.zwidth.report import style
     from hapticd.zwidth.report import trial as figures

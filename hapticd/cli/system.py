@@ -25,7 +25,7 @@ from hapticd.protocol.answers import Status, answer_of
 
 with deferred_imports():
     from hapticd.protocol import journal, leases
-    from hapticd.recording import calibrations
+    from hapticd.recording import provenance
     from hapticd.run import resolve
     from hapticd.run import system_files as service
     from hapticd.run.doctor import checks, late, probes, wake
@@ -60,7 +60,7 @@ def check_config(
         warning = journal.sentence("telemetry_open", address=gateway.tcp_host)
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     servo = resolve.resolve(settings, terminal.INSTANCE)[SERVO_JSON]
-    doubted = calibrations.doubts(servo, datetime.date.today())
+    doubted = provenance.doubts(servo, datetime.date.today())
     found = {
         "config": str(settings.config_file),
         "device": str(settings.device_file),

@@ -25,12 +25,12 @@ it holds all complete frames, and `rec recover` packs them. A file must have one
 For scripts:
 
     recorder    RecordingParams, record: record a running daemon
-    file        open_recording: a `Recording` from any kind of file
-    replay      replay_recording: replay a recording, with some settings replaced
+    file        open_recording: a `Recording` from any kind of file; replay_recording: replay a
+                recording, with some settings replaced
     pack        pack, summary: the final file; to_mat, to_csv: its exports
     provenance  provenance: the versions behind the numbers
 
-`live` (the live file and its rows), `energy` (the energy ledger) and `stretch` (the part of a
-recording that is one trial) are for the other modules, as are `calibrations` and `certificate`, the
-basis of a device's numbers.
+`live` (the live file and its rows) is for the other modules, as are the energy ledger in `file`,
+the part of a recording that is one trial in `pack`, and the calibrations and the certificate in
+`provenance`, the basis of a device's numbers.
 """

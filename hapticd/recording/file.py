@@ -9,12 +9,31 @@ A segment is a stretch of consecutive ticks of one servo life, from its first ch
 gap, or to a tick whose requests were lost (`break`).
 
 A field must keep its meaning under its name.
+
+The energy ledger of a recording: for every tick the sums by cause since its first record.
+
+A finished file contains them in its group `energy`. For any other file they are computed here, from
+the records, with the gateway's own ledger. Across a gap, and from one servo life to the next, no
+motion is booked. Recordings of boards that did not report the force in effect are booked with the
+delay assumed at the time, so nothing in them is unexplained.
+
+Limitations: records without a field that the ledger reads (`Recording.records` raises the error).
+
+Replay of a whole recording, one segment after the other, and its result.
+
+A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on; within
+one, `run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded
+one. With other settings a replay shows the commands of the tick law, not the motion of the display.
+
+The result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
+Otherwise `first_difference` names that tick.
 """
 
 import json
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
@@ -27,15 +46,16 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
 from hapticd.mailbox.client_side import Noted
+from hapticd.mailbox.layout import Value
 from hapticd.protocol import flight
-from hapticd.protocol.view import RECORD_DTYPE, Records
+from hapticd.protocol.view import NAMES, RECORD_DTYPE, Ledger, Records
 from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA
-from hapticd.run.replay import Segment
+from hapticd.run.replay import Difference, Segment, difference, replay
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 
-__all__ = ["is_recording", "open_recording"]
+__all__ = ["ReplayResult", "is_recording", "open_recording", "replay_recording", "total_j"]
 
 # errors of h5py, numpy and struct for a damaged file
 _UNREADABLE = (
@@ -316,3 +336,97 @@ def _flight(path: Path, header: dict[str, Any], records: Records) -> Recording:
     }
     groups = {name: live.columns([found]) for name, found in rows.items()}
     return Recording(path, attributes, {"probe": {}, **groups})
+
+
+GROUP = "energy"
+DATASETS = tuple(f"{name}_j" for name in NAMES)
+ROWS_AT_ONCE = 1 << 15
+
+
+def energies(recording: Recording) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield first row, and sums [J] after each row from it on, (n, causes) in the order of
+    DATASETS. ConfigError if another version recorded it, and a field is missing.
+    """
+    ledger = Ledger(recording.params)
+    for first, after, _ in recording.stretches():
+        ledger.forget()
+        for begin in range(first, after, ROWS_AT_ONCE):
+            yield begin, ledger.take(recording.records(begin, min(begin + ROWS_AT_ONCE, after)))
+
+
+def total_j(recording: Recording) -> dict[str, float]:
+    """Return the energy [J] by cause of the whole recording. ConfigError as `energies`."""
+    last = np.zeros(len(NAMES))
+    if rows := recording.rows.get(GROUP, 0):
+        last = np.array([recording.column(GROUP, name, rows - 1, rows)[0] for name in DATASETS])
+    else:
+        for _, sums in energies(recording):
+            last = sums[-1]
+    return dict(zip(NAMES, last.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayResult:
+    """A recording and its replay, row by row."""
+
+    recorded: Records  # (n,)
+    replayed: NDArray[np.void]  # (n,), the same fields
+    segments: Sequence[tuple[int, int]]  # (first row, row after the last) of each
+    first_difference: Difference | None  # None: bit-exact
+    left_out: int = 0  # recorded ticks before a checkpoint, which cannot be replayed
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Seconds from the first replayed record (n,)."""
+        time_ns = self.recorded["time_ns"]
+        return np.asarray((time_ns - time_ns[0]) / NS_PER_S)
+
+    @property
+    def first_force_tick(self) -> int | None:
+        """The first tick at which the force differs; None if it never does."""
+        changed = np.flatnonzero(self.recorded["force_n"] != self.replayed["force_n"])
+        return int(self.recorded["tick"][changed[0]]) if changed.size else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return counts, the first difference, and rms and peak of both forces [N]."""
+        recorded = self.recorded["force_n"]
+        replayed = self.replayed["force_n"]
+        forces = {"recorded": recorded, "replayed": replayed, "difference": replayed - recorded}
+        first = self.first_difference
+        return {
+            "ticks": len(self.replayed),
+            "legs": len(self.segments),
+            "left_out": self.left_out,
+            "first_force_tick": self.first_force_tick,
+            "bit_exact": first is None,
+            "first_difference": None if first is None else first._asdict(),
+            "force_rms_n": {
+                name: float(np.sqrt(np.mean(np.square(force_n))))
+                for name, force_n in forces.items()
+            },
+            "force_peak_n": {
+                "recorded": float(np.abs(recorded).max()),
+                "replayed": float(np.abs(replayed).max()),
+            },
+        }
+
+
+def replay_recording(
+    recording: Recording, instead: dict[Value, float] | None = None
+) -> ReplayResult:
+    """Replay all segments of `recording`; `instead`: settings to replace. ConfigError if it
+    contains no segment.
+    """
+    segments = recording.segments()
+    if not segments:
+        raise ConfigError(
+            f"{recording.path} holds no checkpoint of the servo, from which a replay begins; record"
+            " a second or longer"
+        )
+    recorded = np.concatenate([segment.records for segment in segments])
+    params = recording.params
+    replayed = np.concatenate([replay(params, segment, instead) for segment in segments])
+    edges = np.cumsum([0, *(len(segment.records) for segment in segments)]).tolist()
+    left_out = recording.rows["servo"] - len(recorded)
+    first = difference(recorded, replayed)
+    return ReplayResult(recorded, replayed, list(pairwise(edges)), first, left_out)

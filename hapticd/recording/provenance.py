@@ -7,8 +7,33 @@ package must import without them.
 
 Attributes of the daemon must come from its own messages, not from this machine, because the daemon
 may run on another one.
+
+The calibrations behind a device's numbers, and doubts about them.
+
+Each scale of a device file contains the date and the board of its measurement (`ScaleParams`).
+Measurements with the device depend on the scales of position and force, and of those that it has or
+relies on: active damping, probe, winding temperature, compensated resistance. A calibration is in
+doubt if its table has no date, a date after today, or one older than the device file's
+`calibration_days`. It is also in doubt if it belongs to another board, or if its scale of force has
+changed since, because active damping is calibrated in newtons.
+
+A simulated device matches its file by definition and needs no calibration.
+
+Every scale in use must be listed here.
+
+The certificate of a rig: the one that belongs to a device file, and whether that file has
+changed since.
+
+`hapticd rig verify` writes it next to the device file, as rig/NAME-certificate-HASH.json, with the
+first digits of the SHA-256 of the device file at that time. A changed file has no certificate of
+its own; the newest existing one describes its earlier state. Recordings, run folders and .zwidth
+files contain the result of `certificate_of` and `certificate_beside`, not the certificate itself.
+
+Limitations: a device file on another machine than the client (it then has no certificate, without a
+message).
 """
 
+import datetime
 import hashlib
 import importlib.metadata
 import json
@@ -16,20 +41,187 @@ import platform
 import subprocess
 import time
 import uuid
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.core.params import to_plain
+from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.params import CALIBRATION_DAYS, to_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.answers import Hello, Status
-from hapticd.recording.calibrations import doubts
-from hapticd.recording.certificate import certificate_of
+from hapticd.settings.inputs import SETTINGS_BYTES, regular
+from hapticd.usb.codec import I16_HIGHEST
 
-__all__ = ["RECORDING_LIBRARIES", "commit", "processor", "provenance", "versions"]
+__all__ = [
+    "RECORDING_LIBRARIES",
+    "CalibrationDoubt",
+    "certificate_beside",
+    "certificate_of",
+    "certificate_path",
+    "commit",
+    "doubts",
+    "processor",
+    "provenance",
+    "refuse_doubts",
+    "used_scales",
+    "versions",
+]
+
+SAME_SCALE = 0.01  # relative: tolerance of a repeated gain
+
+STEPS = {
+    "position": "encoder",
+    "force": "motor",
+    "active_damping": "damping",
+    "probe_torque": "probe",
+    "probe_velocity": "probe",
+    "temperature": "temperature",
+}  # by table of the device file, the step of `hapticd rig` that measures it
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationDoubt:
+    """A doubtful calibration, with the reason."""
+
+    table: str  # of the device file
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.table}: {self.reason}"
+
+    @property
+    def remedy(self) -> str:
+        """The way to resolve the doubt."""
+        if step := STEPS.get(self.table):
+            return f"`hapticd rig {step}`"
+        return (
+            f"measure it, and write measured_on and serial into [{self.table}] of the device file"
+        )
+
+
+def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Mapping[str, Any]]:
+    """Return the scales, by table, behind measurements with `device`, as given in `hello`; with
+    `probed` those of the probe as well.
+    """
+    names = ["position", "force"]
+    if device["active_damping_limit_ns_per_m"] > 0.0:
+        names.append("active_damping")
+    if probed or "probe" in device["relies_on"]:
+        names += ["probe_torque", "probe_velocity"]
+    if "temperature" in device["relies_on"]:
+        names.append("temperature")
+    found: dict[str, Mapping[str, Any]] = {name: device[name] for name in names}
+    if resistance := device.get("resistance"):
+        found["resistance"] = resistance["trim"]
+    return found
+
+
+def doubts(
+    servo: Mapping[str, Any], day: datetime.date, probed: bool = False
+) -> tuple[CalibrationDoubt, ...]:
+    """Return the calibrations in doubt at `day`, of the `servo` in a hello; with `probed` those of
+    the probe as well.
+    """
+    if servo["simulated"]:
+        return ()
+    device = servo["device"]
+    most = int(device.get("calibration_days", CALIBRATION_DAYS))
+    return tuple(
+        CalibrationDoubt(table, reason)
+        for table, scale in used_scales(device, probed).items()
+        for reason in (
+            *_reasons(scale, str(device["serial"]), most, day),
+            *_outlived(table, device),
+        )
+    )
+
+
+def _outlived(table: str, device: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the reason if the active damping of `device` does not match its scale of force."""
+    then_n = float(device.get("active_damping_with_force_n", 0.0))
+    now_n = float(device["force"]["per_count"]) * I16_HIGHEST
+    if table == "active_damping" and then_n and abs(now_n - then_n) > SAME_SCALE * then_n:
+        yield (
+            f"it was found with a scale of force of {then_n:g} N at full count, which is"
+            f" {now_n:.6g} N now"
+        )
+
+
+def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.date) -> Iterator[str]:
+    of = str(scale.get("serial", ""))
+    if of not in ("", serial):
+        yield f"it is of the board {of!r}, this one is {serial!r}"
+    if not scale["measured_on"]:
+        yield "it has no date, so no measurement of it is known"
+        return
+    age = (day - datetime.date.fromisoformat(scale["measured_on"])).days
+    if age > most:
+        yield f"it is {age} days old ({scale['measured_on']}), {most} days are the limit"
+    elif age < -1:  # a day for time zones
+        yield f"it is dated {scale['measured_on']}, after today ({day.isoformat()})"
+
+
+def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
+    """Raise AnalysisError that lists `found`, if there are any."""
+    if found:
+        steps = ", ".join(dict.fromkeys(one.remedy for one in found))
+        listed = "; ".join(map(str, found))
+        raise AnalysisError(
+            f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for"
+            " the trial with --uncalibrated: its verdict then says so"
+        )
+
+
+FOLDER = "rig"
+DIGITS = 12  # of a hash in a name
+CHANGED = "the device file has changed since; repeat `hapticd rig verify`"
+
+
+def certificate_path(device_file: Path, device_file_sha256: str) -> Path:
+    """Return the path of the certificate of `device_file` with that hash."""
+    name = f"{device_file.stem}-certificate-{device_file_sha256[:DIGITS]}.json"
+    return device_file.parent / FOLDER / name
+
+
+def certificate_of(servo: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the certificate of the device file behind the `servo` of a hello; None if there is
+    none, or the file is not on this machine.
+    """
+    if not servo.get("device_file"):
+        return None
+    return certificate_beside(Path(servo["device_file"]), servo["device_file_sha256"])
+
+
+def certificate_beside(device_file: Path, device_file_sha256: str) -> dict[str, Any] | None:
+    """Describe the certificate next to `device_file`: its `sha256`, `date` and `verdict`, the
+    `device_file_sha256` it belongs to, and in `changed` a note if the file has changed since,
+    otherwise "". None if there is none.
+    """
+    own = certificate_path(device_file, device_file_sha256)
+    others = own.parent.glob(f"{device_file.stem}-certificate-*.json")
+    known = [own] if own.is_file() else sorted(others, key=lambda path: path.stat().st_mtime_ns)
+    return _told(known[-1], device_file_sha256) if known else None
+
+
+def _told(path: Path, device_file_sha256: str) -> dict[str, Any] | None:
+    try:
+        content = regular(path, SETTINGS_BYTES).read_bytes()
+        said = json.loads(content)
+        of = str(said["device"]["file_sha256"])
+        told = {"date": str(said["date"]), "verdict": str(said["verdict"])}
+    except (ConfigError, OSError, ValueError, LookupError, TypeError):
+        return None  # not a certificate: do not rely on it
+    return {
+        "sha256": hashlib.sha256(content).hexdigest(),
+        **told,
+        "device_file_sha256": of,
+        "changed": "" if of == device_file_sha256 else CHANGED,
+    }
+
 
 SCHEMA = "hapticd-recording/1"
 SIMULATED_NOTICE = "SIMULATED: the device behind this recording was computed"
@@ -67,7 +259,7 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
     """
     servo = to_plain(hello.servo)
     now_ns = time.time_ns()
-    now = datetime.fromtimestamp(now_ns / NS_PER_S, UTC)
+    now = datetime.datetime.fromtimestamp(now_ns / NS_PER_S, datetime.UTC)
     device = servo["device"]
     report = status.servo
     return {

@@ -6,7 +6,7 @@ board and interval, the versions of hapticd and of its libraries, and the machin
 not verified are listed as prominently as the verified ones. The page is self-contained HTML, so it
 prints and can be archived.
 
-`recording.certificate` finds the certificate and reports whether the device file has changed since.
+`recording.provenance` finds the certificate and reports whether the device file has changed since.
 
 Each verification of a step must be a finding.
 """
@@ -24,13 +24,13 @@ from typing import Any
 
 from hapticd.core.params import to_plain
 from hapticd.protocol.answers import Hello, Status
-from hapticd.recording.calibrations import used_scales
-from hapticd.recording.certificate import certificate_path
 from hapticd.recording.provenance import (
     RECORDING_LIBRARIES,
+    certificate_path,
     commit,
     processor,
     provenance,
+    used_scales,
     versions,
 )
 from hapticd.rig.experiment import BoardIdentity

@@ -5,7 +5,7 @@
     NAME.probe.csv             its export as text; the last line, a remark, summarises the ticks
     record.h5                  of a trial, with the details of `run.json` next to it or in the file
 
-A recording is cut to its longest stretch that is one trial (`recording.stretch`); the numbers of
+A recording is cut to its longest stretch that is one trial (`recording.pack`); the numbers of
 its samples show which are missing. A mark of the perturbation precedes that stretch
 (`excitation.marked`); its start is given in samples of the stretch, for `aligned`.
 
@@ -23,13 +23,7 @@ from hapticd.core.arrays import Integers
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.recording.stretch import (
-    JSON_ATTRIBUTES,
-    REMARK_ATTRIBUTES,
-    ReadColumn,
-    Stretch,
-    stretch,
-)
+from hapticd.recording.pack import JSON_ATTRIBUTES, REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
 from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time

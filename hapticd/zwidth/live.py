@@ -12,7 +12,7 @@ command, the winding's temperature, the position, the slots that were left out, 
 the set-up, so that a change by any client ends the trial. Lost samples are filled and counted by
 `watch`.
 
-Doubtful calibrations are refused (`recording.calibrations`), or named with the record and its
+Doubtful calibrations are refused (`recording.provenance`), or named with the record and its
 verdict.
 
 Limitations: a board without probe inputs (refused); a host so busy that slots are lost (reported,
@@ -38,8 +38,7 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
 from hapticd.protocol.answers import Status
-from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
-from hapticd.recording.certificate import certificate_of
+from hapticd.recording.provenance import CalibrationDoubt, certificate_of, doubts, refuse_doubts
 from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent

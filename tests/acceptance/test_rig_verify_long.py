@@ -11,7 +11,7 @@ from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 
 from hapticd.cli.rig import steps
 from hapticd.core.params import to_plain
-from hapticd.recording.certificate import certificate_beside, certificate_of
+from hapticd.recording.provenance import certificate_beside, certificate_of
 from hapticd.rig.certificate import page
 from hapticd.rig.steps.verify import measure
 from hapticd.settings.load import load

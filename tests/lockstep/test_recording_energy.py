@@ -7,8 +7,7 @@ import pytest
 from support.recorded import RecordedFlight, recorded_into
 
 from hapticd.protocol.view import NAMES, Ledger
-from hapticd.recording.energy import DATASETS, GROUP, energies, total_j
-from hapticd.recording.file import open_recording
+from hapticd.recording.file import DATASETS, GROUP, energies, open_recording, total_j
 
 
 @pytest.fixture(scope="module")

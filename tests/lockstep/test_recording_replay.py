@@ -8,8 +8,7 @@ from support.recorded import RecordedFlight, recorded_into
 
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.layout import Value
-from hapticd.recording.file import open_recording
-from hapticd.recording.replay import replay_recording
+from hapticd.recording.file import open_recording, replay_recording
 from hapticd.zwidth.report.trial import replay_figure
 
 

@@ -18,7 +18,7 @@ from hapticd.core.params import ScaleParams
 from hapticd.model.effects import Effect
 from hapticd.protocol.answers import Event, GuardVerdict, LeaseReleased
 from hapticd.protocol.journal import Entry
-from hapticd.recording.calibrations import CalibrationDoubt
+from hapticd.recording.provenance import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.run.doctor.checks import CheckResult
 from hapticd.servo.host import Grant

@@ -24,7 +24,7 @@ from hapticd.core.errors import DaemonDown, HapticdError
 from hapticd.core.params import RIG_STEPS, to_plain
 
 with deferred_imports():
-    from hapticd.recording import calibrations
+    from hapticd.recording import provenance
     from hapticd.settings import build, load
     from hapticd.settings import device as device_files
 
@@ -172,7 +172,7 @@ def measured(table: str, device: "device_files.DeviceFile") -> str:
 def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
     """Return why the values in `table` of `device` are no longer reliable; "": they are."""
     servo = {"simulated": device.simulated, "device": to_plain(build.device_params(device))}
-    found = calibrations.doubts(servo, datetime.date.today(), probed=True)
+    found = provenance.doubts(servo, datetime.date.today(), probed=True)
     return "; ".join(one.reason for one in found if one.table == table)
 
 

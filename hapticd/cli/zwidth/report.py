@@ -19,7 +19,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
-    from hapticd.recording import certificate
+    from hapticd.recording import provenance as certificate
     from hapticd.signal import verdict
     from hapticd.zwidth import interchange, portable, scenes, simulated, sources, store
     from hapticd.zwidth import limits as axis_limits

@@ -41,7 +41,7 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
 from hapticd.model.loop import derivatives, held_force_model
-from hapticd.recording.calibrations import doubts
+from hapticd.recording.provenance import doubts
 from hapticd.rig.estimate import NORMAL, least_squares, separable
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
 from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run

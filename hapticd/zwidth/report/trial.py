@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
-from hapticd.recording.replay import ReplayResult
+from hapticd.recording.file import ReplayResult
 from hapticd.signal.impedance import Impedance
 from hapticd.signal.periodic import PeriodicSpectra
 from hapticd.signal.verdict import half_width
