@@ -8,7 +8,7 @@ pace as the servo's tick.
 import struct
 
 from hapticd.core.environment import Environment, FilterParams
-from hapticd.render.filters import design
+from hapticd.render.law import design
 from hapticd.usb.frames import IN_SEALED, OUT
 
 RECORD = struct.Struct(

@@ -39,7 +39,7 @@ from hapticd.core.environment import FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import delay_steps, discretise, late_command
 from hapticd.model.model import Model
-from hapticd.render.filters import Biquad, design
+from hapticd.render.law import Biquad, design
 
 __all__ = [
     "Filters",
@@ -304,7 +304,7 @@ def spectral_radius(
 def _filter(base: Floats, unit: Floats, at: int, source: Floats, biquad: Biquad) -> Floats:
     """Write a filter's two states into `base` and return the row of its output."""
     b0, b1, b2, a1, a2 = biquad
-    out = b0 * source + unit[at]  # transposed direct form II, as `render.filters` runs it
+    out = b0 * source + unit[at]  # transposed direct form II, as `render.law` runs it
     base[at] = b1 * source - a1 * out + unit[at + 1]
     base[at + 1] = b2 * source - a2 * out
     return np.asarray(out)

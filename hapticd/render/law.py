@@ -15,27 +15,177 @@ filter coefficients: they act on differences. Positive force pushes to positive 
 A compiler must use neither fastmath nor contraction (bits would differ from CPython), and
 coefficients must be for the rate. A limit must test that the force is not inside it, not that the
 force is outside: only the first is also true of NaN, which `clamp` then turns into 0.
+
+Second-order low-pass filters for the differentiated position.
+
+Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The
+paper (Weir, Colgate and Peshkin 2008, section 2) states "100 Hertz second order digital filter" for
+velocity and 72 Hz for acceleration. It states neither damping ratio nor mapping, so both are
+parameters. A filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2;
+z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
+
+A corner must be below half the rate (refused otherwise), and the rate must be the tick's.
+Coefficients must not be swapped under force: the force would jump now or swell for seconds.
+
+Ramps: a parameter on its way from one value to the next. Each carries its own start tick, so
+several may overlap.
+
+The servo's own energy ledger: its work, and the excess energy that it delivered.
+
+Work done on the device is positive. The force of the sample before last, or of an earlier one, is
+replaced by the newer force d periods after the newer sample. The interval between two samples, in
+which the device moves by dx, therefore contains both:
+
+    dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
+
+Motion between samples is taken as straight; sums by cause are computed from the records instead
+(`signal.ledger`). A display with ideal elements would have no excess: its work would equal the
+energy that its springs, walls and virtual mass lose, or that its physical damping dissipates. The
+excess is
+
+    E <- max(0, k E + dW - (F_e + F_e')/2 dx + M (v^2 - v'^2) / 2 - c dx^2 / T)
+
+with F_e the unclamped part of the force of springs and walls, so that -F_e dx is the energy that
+they store. Energy that a ramp or a moving wall adds cancels in it. c is the damping that is
+certainly present: at least the device's own, and the active damping that the board reports. The sum
+leaks with k, slowly compared with any oscillation, and is reset to 0 when the device absorbed more
+than it received. Steady motion under a passive environment (Colgate and Schenkel 1997, with c as
+the physical damping) absorbs more than it receives at every frequency, so E keeps only the part
+that varies within a swing. A limit cycle grows beyond any bound.
+
+Limitations: forces outside the law that store energy (they count as work). Every clamp must be
+reported.
 """
 
-from typing import Final
+import math
+from typing import Final, NamedTuple
 
 from hapticd.core.environment import FilterParams
-from hapticd.render.filters import Biquad, design, scaled
+from hapticd.core.errors import ConfigError
 
 __all__ = [
+    "EMPTY",
+    "EXCESS",
+    "FORCE",
     "LIMIT",
     "MASS",
+    "Biquad",
     "Coefficients",
     "LawInputs",
     "LawState",
+    "Ledger",
+    "Ramp",
+    "approach",
     "at_rest",
+    "book",
     "clamp",
+    "constant",
+    "design",
     "design_coefficients",
     "end_force",
+    "ledger_at_rest",
     "render",
+    "scaled",
     "split",
+    "steady",
     "wall_force",
 ]
+
+Biquad = tuple[float, float, float, float, float]
+MAPPINGS = ("prewarped", "bilinear", "matched")
+
+
+def design(frequency_hz: float, damping_ratio: float, mapping: str, rate_hz: float) -> Biquad:
+    """Return the coefficients of a second-order low-pass.
+
+    `mapping`: "prewarped" bilinear (-3 dB point kept), plain "bilinear", or "matched" poles without
+    zeros. ConfigError if the corner is not inside 0..rate/2, the damping ratio not positive, or the
+    mapping unknown.
+    """
+    if not 0.0 < frequency_hz < 0.5 * rate_hz:
+        raise ConfigError(
+            f"filter corner {frequency_hz} Hz: must lie between 0 and {0.5 * rate_hz} Hz, half the"
+            " servo rate"
+        )
+    if not 0.0 < damping_ratio < 100.0:
+        raise ConfigError(
+            f"filter damping ratio {damping_ratio}: must lie between 0 and 100; 0.7071 is"
+            " Butterworth"
+        )
+    if mapping == "matched":
+        return _matched(2.0 * math.pi * frequency_hz / rate_hz, damping_ratio)
+    if mapping not in MAPPINGS:
+        raise ConfigError(f"filter mapping {mapping!r}: use one of {', '.join(MAPPINGS)}")
+    angle = math.pi * frequency_hz / rate_hz
+    return _bilinear(math.tan(angle) if mapping == "prewarped" else angle, damping_ratio)
+
+
+def _bilinear(k: float, zeta: float) -> Biquad:
+    scale = 1.0 / (1.0 + 2.0 * zeta * k + k * k)
+    b0 = k * k * scale
+    return b0, 2.0 * b0, b0, 2.0 * (k * k - 1.0) * scale, (1.0 - 2.0 * zeta * k + k * k) * scale
+
+
+def _matched(angle: float, zeta: float) -> Biquad:
+    radius = math.exp(-zeta * angle)
+    spread = angle * math.sqrt(abs(1.0 - zeta * zeta))
+    a1 = -2.0 * radius * (math.cos(spread) if zeta <= 1.0 else math.cosh(spread))
+    a2 = radius * radius
+    return 1.0 + a1 + a2, 0.0, 0.0, a1, a2
+
+
+def scaled(biquad: Biquad, gain: float) -> Biquad:
+    """Return the filter with DC gain `gain`; with the rate as gain, it gives derivatives."""
+    b0, b1, b2, a1, a2 = biquad
+    return gain * b0, gain * b1, gain * b2, a1, a2
+
+
+def steady(biquad: Biquad, y: float) -> tuple[float, float]:
+    """Return the steady state of a filter with constant output `y`."""
+    b0, b1, b2, a1, a2 = biquad
+    u = y * (1.0 + a1 + a2) / (b0 + b1 + b2)
+    return y - b0 * u, b2 * u - a2 * y
+
+
+class Ramp(NamedTuple):
+    """From `start` at `start_tick` to `end` at `start_tick + ticks`; `ticks` = 0 steps at once."""
+
+    start: float
+    end: float
+    start_tick: int
+    ticks: int
+
+    def value(self, tick: int) -> float:
+        """Value at `tick`: exactly `end` from the end tick on."""
+        done = tick - self.start_tick
+        if done >= self.ticks:
+            return self.end
+        if done <= 0:
+            return self.start
+        return self.start + (self.end - self.start) * (done / self.ticks)
+
+    def running(self, tick: int) -> bool:
+        """Whether a later tick gives another value."""
+        return tick < self.start_tick + self.ticks and self.start != self.end
+
+    def towards(self, end: float, tick: int, ticks: int) -> "Ramp":
+        """Return a ramp that starts now from the present value."""
+        return Ramp(self.value(tick), end, tick, ticks)
+
+
+def constant(value: float) -> Ramp:
+    """Return a finished ramp."""
+    return Ramp(value, value, 0, 0)
+
+
+def approach(value: float, target: float, step: float) -> float:
+    """Return `value` moved towards `target` by at most `step` >= 0."""
+    if target > value + step:
+        return value + step
+    if target < value - step:
+        return value - step
+    return target
+
 
 LawState = tuple[float, float, float, float, float, float]
 # The inputs of one tick, as `render` names them, then environment.FURTHER. An Environment does not
@@ -159,3 +309,51 @@ def clamp(force: float, limit: float) -> float:
     if force != force:
         return 0.0
     return force
+
+
+# work [J], E [J], forces of the last three samples [N], F_e [N], v [m/s]
+Ledger = tuple[float, float, float, float, float, float, float]
+# indices into a Ledger
+EXCESS: Final = 1
+FORCE: Final = 2  # of the last sample
+EMPTY: Ledger = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def book(
+    ledger: Ledger,
+    displacement: float,
+    force: float,
+    delay: float,
+    elastic: float,
+    mass: float,
+    velocity: float,
+    resistance: float,
+    kept: float,
+) -> Ledger:
+    """Return the ledger after a sample `displacement` [m] from the last, for which `force` [N] is
+    sent.
+
+    `delay`: periods from its sample to the force now in effect, >= 0; `elastic`: share of springs
+    and walls in `force` [N]; `mass`: virtual mass [kg]; `velocity`: that of the law [m/s];
+    `resistance`: credited damping / period [N/m]; `kept`: factor of E per tick.
+    """
+    work, excess, newer, older, oldest, elastic_before, velocity_before = ledger
+    if delay < 1.0:
+        done = displacement * (newer + delay * (older - newer))
+    else:
+        done = displacement * (older + min(delay - 1.0, 1.0) * (oldest - older))
+    stored = 0.5 * mass * (
+        velocity * velocity - velocity_before * velocity_before
+    ) - 0.5 * displacement * (elastic + elastic_before)
+    excess = kept * excess + done + stored - resistance * displacement * displacement
+    if excess < 0.0:
+        excess = 0.0
+    return work + done, excess, force, newer, older, elastic, velocity
+
+
+def ledger_at_rest(ledger: Ledger) -> Ledger:
+    """Return `ledger` after an unknown motion: its sums stay."""
+    work, excess, *_ = ledger
+    if excess != excess:  # NaN would persist
+        excess = 0.0
+    return work, excess, 0.0, 0.0, 0.0, 0.0, 0.0

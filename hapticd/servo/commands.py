@@ -30,7 +30,7 @@ from hapticd.mailbox.layout import (
     following,
     values_of,
 )
-from hapticd.render.ramp import Ramp, constant
+from hapticd.render.law import Ramp, constant
 from hapticd.servo import safety, watchdog_trial
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (

@@ -18,7 +18,7 @@ The readings must not cost time in every tick, and their interval counts slots, 
 from typing import Final
 
 from hapticd.core.params import ResistanceParams, ServoParams
-from hapticd.render.ramp import approach
+from hapticd.render.law import approach
 from hapticd.render.winding import Winding, heated, target_ohm
 from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, Plan, Sample
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST

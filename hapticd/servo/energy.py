@@ -57,7 +57,7 @@ A parameter that stores energy must have a `power`. Where force acts, parameters
 End an energy leak before it causes the fault `energy`: first with active damping, then with a
 weaker environment.
 
-The ledger's excess E (`render.energy`) is energy that the display gave out without cover. In motion
+The ledger's excess E (`render.law`) is energy that the display gave out without cover. In motion
 under an environment that the credited damping makes passive, E stays below a twentieth of
 `limits.energy_j`, the bound of the fault. A leak exceeds any bound: it grows by a fifth in a tick
 where a wall at five times its limit drives a light handle. So beyond SHARE of that bound
@@ -94,8 +94,7 @@ from typing import Final, NamedTuple
 from hapticd.core.environment import FURTHER
 from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import STRENGTH_VALUES, Flag, Value, following
-from hapticd.render.law import Coefficients, LawInputs, LawState, render
-from hapticd.render.ramp import Ramp
+from hapticd.render.law import Coefficients, LawInputs, LawState, Ramp, render
 from hapticd.servo.plan import Booking, Control, Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, Bounds, State
 

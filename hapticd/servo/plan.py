@@ -38,9 +38,16 @@ from hapticd.mailbox.layout import (
     following,
     value_limits,
 )
-from hapticd.render.energy import Ledger
-from hapticd.render.law import Coefficients, LawInputs, LawState, design_coefficients
-from hapticd.render.ramp import Ramp, approach, constant
+from hapticd.render.law import (
+    Coefficients,
+    LawInputs,
+    LawState,
+    Ledger,
+    Ramp,
+    approach,
+    constant,
+    design_coefficients,
+)
 from hapticd.render.winding import Winding, unheated
 from hapticd.servo.homing import Homing
 from hapticd.servo.safety import (

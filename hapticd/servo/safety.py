@@ -27,7 +27,7 @@ Detection of a limit cycle: three signs that the display moves by itself, each a
                     encoder, which lasts for a sample or two, and faster than a handle thrown by
                     hand (see below)
     energy          more energy given out without cover than the device file allows
-                    (`render.energy`); it needs a lower bound of the physical damping, and is off
+                    (`render.law`); it needs a lower bound of the physical damping, and is off
                     without one
 
 The tick detects the signs (`step` calls this only when the force is clamped or the speed is high)

@@ -34,8 +34,7 @@ from typing import Final
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Flag
-from hapticd.render.energy import FORCE, Ledger, book
-from hapticd.render.law import LIMIT, MASS, LawState, clamp, render
+from hapticd.render.law import FORCE, LIMIT, MASS, LawState, Ledger, book, clamp, render
 from hapticd.servo.plan import Plan, Sample, ServoState, TickConstants, without_origin
 from hapticd.servo.safety import bounds
 from hapticd.usb.codec import ENCODER_BITS

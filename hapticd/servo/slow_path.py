@@ -21,17 +21,18 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Command, Flag, Result
-from hapticd.render.energy import EXCESS
-from hapticd.render.energy import at_rest as unknown_before
-from hapticd.render.filters import steady
 from hapticd.render.law import (
+    EXCESS,
     Coefficients,
     LawInputs,
     LawState,
+    Ramp,
     at_rest,
+    constant,
     split,
+    steady,
 )
-from hapticd.render.ramp import Ramp, constant
+from hapticd.render.law import ledger_at_rest as unknown_before
 from hapticd.servo import watchdog_trial
 from hapticd.servo.commands import CommandContext, apply_settings, enter, obey
 from hapticd.servo.compensation import compensated

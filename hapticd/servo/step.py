@@ -24,8 +24,7 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Flag
-from hapticd.render.energy import EMPTY, EXCESS, FORCE, book
-from hapticd.render.law import MASS, at_rest, clamp, render
+from hapticd.render.law import EMPTY, EXCESS, FORCE, MASS, at_rest, book, clamp, render
 from hapticd.servo.energy import budget_j, lag
 from hapticd.servo.plan import (
     LINK_UP,

@@ -9,7 +9,7 @@ from support.flight import Flight, enabled
 from test_servo_easing import ROUNDING_N, SOLID, params_with
 
 from hapticd.mailbox.layout import Command, Value
-from hapticd.render.ramp import constant
+from hapticd.render.law import constant
 from hapticd.servo.safety import State
 
 

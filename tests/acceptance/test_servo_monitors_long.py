@@ -7,8 +7,7 @@ from test_servo_monitors import CREDIT, ENERGY_LIMIT_J, WATCHED, T, watched
 
 from hapticd.core.environment import FilterParams
 from hapticd.model.theorem import required_damping
-from hapticd.render.energy import EMPTY, EXCESS, book
-from hapticd.render.law import at_rest, design_coefficients, render
+from hapticd.render.law import EMPTY, EXCESS, at_rest, book, design_coefficients, render
 from hapticd.servo.safety import bounds
 
 

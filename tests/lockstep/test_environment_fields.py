@@ -20,7 +20,7 @@ from hapticd.core.environment import FIELDS, Environment, EnvironmentField, Work
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.protocol.limits import CommandLimits
 from hapticd.recording.file import open_recording
-from hapticd.render.ramp import constant
+from hapticd.render.law import constant
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import environment_of
 

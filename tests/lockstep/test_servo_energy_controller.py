@@ -29,8 +29,7 @@ from support.servo_energy_controller import (
 
 from hapticd.core.params import ENERGY_LIMIT_J, SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.render.energy import EXCESS, at_rest
-from hapticd.render.ramp import Ramp
+from hapticd.render.law import EXCESS, Ramp, ledger_at_rest
 from hapticd.run import replay
 from hapticd.servo.energy import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
@@ -182,7 +181,7 @@ def test_excess_that_is_not_a_number_is_a_fault_and_is_forgotten():
     found.fly(3)
     assert found.plan.state is State.FAULT
     assert not found.acted
-    assert at_rest(broken)[EXCESS] == 0.0
+    assert ledger_at_rest(broken)[EXCESS] == 0.0
 
 
 def test_what_damping_and_cuts_do_not_end_is_still_a_fault():

@@ -13,7 +13,7 @@ from hapticd.model.effects import Delay, Encoder
 from hapticd.model.loop import responses
 from hapticd.model.scene import Scene
 from hapticd.model.theorem import required_damping
-from hapticd.render.filters import design
+from hapticd.render.law import design
 from hapticd.settings.scene import load_scene
 from hapticd.studies import remedies
 from hapticd.studies.remedies import (

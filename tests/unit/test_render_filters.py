@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 
 from hapticd.core.errors import ConfigError
-from hapticd.render.filters import design, scaled, steady
+from hapticd.render.law import design, scaled, steady
 
 
 @pytest.mark.parametrize(

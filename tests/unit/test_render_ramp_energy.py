@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from support.held_force import exact_work
 
-from hapticd.render.energy import EMPTY, EXCESS, at_rest, book
-from hapticd.render.ramp import Ramp, approach, constant
+from hapticd.render.law import EMPTY, EXCESS, Ramp, approach, book, constant, ledger_at_rest
 
 
 def test_ramp_arrives_exactly_on_its_end_tick():
@@ -84,4 +83,4 @@ def test_ramp_of_a_stiffness_is_no_uncovered_energy():
 
 def test_rest_forgets_forces_and_keeps_sums():
     found = ledger_of(sine(np.arange(300) * T), np.full(300, 2.0), 0.125)
-    assert at_rest(found) == (found[0], found[1], 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert ledger_at_rest(found) == (found[0], found[1], 0.0, 0.0, 0.0, 0.0, 0.0)
