@@ -14,8 +14,7 @@ sys.path[:0] = [str(DOCS.parent / "tests")]
 
 from support.blind_rig import BlindRig, first_day  # noqa: E402
 
-from hapticd.rig.estimate import line  # noqa: E402
-from hapticd.rig.result import StepResult  # noqa: E402
+from hapticd.rig.result import StepResult, line  # noqa: E402
 from hapticd.zwidth.report.style import BLACK, BLUE, ORANGE, WIDTH_IN, axes, styled  # noqa: E402
 
 SEED = 2026

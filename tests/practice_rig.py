@@ -46,7 +46,7 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import BoardParams, ServoParams, read_params
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.files import runtime_folder
-from hapticd.rig.hand import Action, Request, asked_at
+from hapticd.rig.result import Action, Request, asked_at
 from hapticd.run import servo_main
 from hapticd.run.supervisor import Supervisor, spawn
 from hapticd.settings.load import load

@@ -14,7 +14,7 @@ from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
-from hapticd.rig.device_file import write
+from hapticd.rig.certificate import write_changes
 from hapticd.rig.steps.identify import measure
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
@@ -98,7 +98,7 @@ def two_masses(tmp_path_factory):
         result = measure(rig, nothing)
     file = folder / "device.toml"
     shutil.copy(DEVICES / "example-board.toml", file)
-    write(file, result.changes, "rig identify", date(2026, 11, 22))
+    write_changes(file, result.changes, "rig identify", date(2026, 11, 22))
     written = device_scene(str(file))
     assert written is not None
     return result, compose(load_scene(scene)), display(written).model
@@ -151,6 +151,6 @@ def test_a_motor_that_nobody_measured_is_not_taken_for_one(found, tmp_path):
         replace(one, value=1.0) if one.key == "torque_constant_nm_per_a" else one
         for one in found.changes
     ]
-    device = write(file, unknown, "rig identify", date(2026, 11, 22))
+    device = write_changes(file, unknown, "rig identify", date(2026, 11, 22))
     assert device.model.table("motor").source == "inferred"
     assert build.device_params(device).motor_n_per_a == device.home.current_n_per_a

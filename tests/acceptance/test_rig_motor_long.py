@@ -9,7 +9,7 @@ from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.protocol.view import as_records
-from hapticd.rig.estimate import line
+from hapticd.rig.result import line
 from hapticd.rig.steps.motor import (
     measure_gain,
     measure_sign,

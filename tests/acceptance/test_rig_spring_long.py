@@ -8,7 +8,7 @@ from support.rig_spring import SPRING
 
 from hapticd.core.params import TouchParams
 from hapticd.rig.steps import encoder, motor
-from hapticd.rig.steps.spring import Spring, measure, measure_offset
+from hapticd.rig.steps.motor import Spring, measure_offset, measure_spring
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
@@ -32,7 +32,7 @@ def test_gain_lies_in_its_interval_whatever_the_friction_and_the_offset():
                 hand.axis.plant = hand.axis.plant._replace(step=free)
             hand.settle()
 
-        result = measure(hand.bench, ask, SPRING)
+        result = measure_spring(hand.bench, ask, SPRING)
         assert hand.bench.status().state == "disabled"
     (gain, _) = result.values
     assert gain.low <= 1.2 * 32767 * COUNT_N <= gain.high
@@ -59,7 +59,7 @@ def test_a_blind_rig_is_measured_by_a_spring():
         rig.restart()
         rig.write(motor.measure_sign(rig.bench, rig.ask))
         rig.restart()
-        result = measure(rig.bench, rig.ask, Spring(400.0, 0.005))
+        result = measure_spring(rig.bench, rig.ask, Spring(400.0, 0.005))
         (gain, _) = result.values
         assert result.settled
         assert gain.low <= rig.true("force.full_scale_n") <= gain.high

@@ -4,8 +4,12 @@ import numpy as np
 from support.rig_hand import Hand
 from test_rig_temperature import DEVICE, counts, holds, shaken, told
 
-from hapticd.rig.steps.temperature import KnownTemperatures, analyse, measure
-from hapticd.rig.steps.winding import analyse_back_emf
+from hapticd.rig.steps.winding import (
+    KnownTemperatures,
+    analyse_back_emf,
+    analyse_temperature,
+    measure_temperature,
+)
 
 
 def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
@@ -14,7 +18,9 @@ def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
     for _ in range(300):
         truth = np.array([20.0, 50.0])
         read = truth + 0.5 / 1.96 * random.standard_normal(2)
-        values = told(analyse(counts(*truth, offset=40.0), KnownTemperatures(tuple(read)), DEVICE))
+        values = told(
+            analyse_temperature(counts(*truth, offset=40.0), KnownTemperatures(tuple(read)), DEVICE)
+        )
         scale += holds(values["temperature.c_per_count"], 0.01)
         offset += holds(values["temperature.offset_count"], 40.0)
     assert 275 <= scale <= 295
@@ -32,7 +38,9 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
 
 def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
     with Hand() as hand:
-        result = measure(hand.bench, hand.ask, KnownTemperatures((22.0,)), with_shake=False)
+        result = measure_temperature(
+            hand.bench, hand.ask, KnownTemperatures((22.0,)), with_shake=False
+        )
         assert hand.bench.status().state == "disabled"
     assert result.settled
     assert holds(told(result)["temperature.offset_count"], 0.0)

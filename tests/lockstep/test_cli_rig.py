@@ -14,9 +14,8 @@ from hapticd.cli.app import main
 from hapticd.cli.rig import guided, steps
 from hapticd.core.errors import AnalysisError, DaemonDown
 from hapticd.core.params import ScaleParams
-from hapticd.rig.device_file import write
-from hapticd.rig.hand import Request
-from hapticd.rig.result import Change
+from hapticd.rig.certificate import write_changes
+from hapticd.rig.result import Change, Request
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
@@ -83,7 +82,9 @@ def test_what_is_measured_says_how_old_it_is(config):
     assert guided.measured("position", load(config).device) == ""
     assert guided.measured("commissioning", load(config).device) == ""
     week_ago = datetime.date.today() - datetime.timedelta(7)
-    write(file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder", week_ago, "0.5 um")
+    write_changes(
+        file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder", week_ago, "0.5 um"
+    )
     told = guided.measured("position", load(config).device)
     assert told == f"measured {week_ago.isoformat()}, 7 days ago"
 
@@ -96,7 +97,7 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
             Change("active_damping", "full_scale_ns_per_m", 10.0),
             Change("active_damping", "with_force_full_scale_n", full_scale_n),
         ]
-        write(file, written, "rig damping", datetime.date.today())
+        write_changes(file, written, "rig damping", datetime.date.today())
         said = guided.in_doubt("active_damping", load(config).device.model_copy(update=real))
         assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
 
@@ -104,7 +105,9 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
 def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):
     where = steps.StepOptions(instance="default", config=config)
     monkeypatch.setattr(guided, "connect", steps.connect)
-    write(load(config).device_file, [Change("force", "full_scale_n", 9.0)], "rig motor", DAY)
+    write_changes(
+        load(config).device_file, [Change("force", "full_scale_n", 9.0)], "rig motor", DAY
+    )
     assert "force" in guided._stale(where)
     reasons = iter(["no daemon runs", "the device file has a new force", ""])
     monkeypatch.setattr(guided, "_stale", lambda where: next(reasons))

@@ -12,7 +12,7 @@ from support.tree import ROOT
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import ScaleParams, TouchParams, to_plain
 from hapticd.protocol.view import as_records
-from hapticd.rig.device_file import write
+from hapticd.rig.certificate import write_changes
 from hapticd.rig.experiment import push
 from hapticd.rig.steps.motor import (
     Masses,
@@ -97,7 +97,7 @@ def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
     masses = Masses((0.0, 0.05, 0.1))
     told = readings(masses.weights_n, scale=0.7)
     result = analyse(masses.weights_n, told, masses, to_plain(device))
-    written = write(file, result.changes, "rig motor", date(2026, 11, 22))
+    written = write_changes(file, result.changes, "rig motor", date(2026, 11, 22))
     assert written.limits.force_n < 0.7 * device.force_limit_n
     assert written.home.force_n == min(home_n, written.limits.force_n)
 

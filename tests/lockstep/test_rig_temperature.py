@@ -5,8 +5,13 @@ import pytest
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.steps.temperature import KnownTemperatures, analyse, drift_of, measure
-from hapticd.rig.steps.winding import analyse_back_emf
+from hapticd.rig.steps.winding import (
+    KnownTemperatures,
+    analyse_back_emf,
+    analyse_temperature,
+    drift_of,
+    measure_temperature,
+)
 
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},
@@ -51,7 +56,9 @@ def refused(result):
 
 
 def test_one_temperature_gives_the_count_that_means_0():
-    result = analyse(counts(21.5, offset=130.0, noise=3.0), KnownTemperatures((21.5,)), DEVICE)
+    result = analyse_temperature(
+        counts(21.5, offset=130.0, noise=3.0), KnownTemperatures((21.5,)), DEVICE
+    )
     assert result.settled
     values = told(result)
     assert values["temperature.offset_count"].value == pytest.approx(130.0, abs=0.2)
@@ -63,7 +70,7 @@ def test_one_temperature_gives_the_count_that_means_0():
 @pytest.mark.parametrize("per_count", [0.008, -0.012])
 def test_two_temperatures_give_the_scale_and_its_sign(per_count):
     found = counts(20.0, 60.0, per_count=per_count, offset=-200.0)
-    values = told(result := analyse(found, KnownTemperatures((20.0, 60.0)), DEVICE))
+    values = told(result := analyse_temperature(found, KnownTemperatures((20.0, 60.0)), DEVICE))
     assert values["temperature.c_per_count"].value == pytest.approx(abs(per_count), rel=2e-4)
     assert values["temperature.offset_count"].value == pytest.approx(-200.0, abs=1.0)
     changes = {one.key: one.value for one in result.changes}
@@ -82,7 +89,7 @@ def test_two_temperatures_give_the_scale_and_its_sign(per_count):
     ],
 )
 def test_a_sensor_that_cannot_be_right_is_refused_by_name(found, stated, name):
-    result = analyse(found, KnownTemperatures(stated), DEVICE)
+    result = analyse_temperature(found, KnownTemperatures(stated), DEVICE)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes
@@ -94,7 +101,7 @@ def test_a_drift_is_told_in_kelvin_a_minute():
     drift = drift_of(rising, 0.01)
     assert holds(drift, 0.6)  # 10 counts in 10 s
     assert drift.high - drift.low < 0.1
-    warned = analyse(
+    warned = analyse_temperature(
         np.array([2000.0 + 5.0 * (rising - 2000.0)]), KnownTemperatures((20.0,)), DEVICE
     )
     assert any("wait until" in one.remedy for one in warned.findings)
@@ -102,7 +109,7 @@ def test_a_drift_is_told_in_kelvin_a_minute():
 
 @pytest.mark.parametrize("gain", [1.2, -0.8])
 def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
-    at_rest = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
+    at_rest = analyse_temperature(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
     result = at_rest + analyse_back_emf(shaken(gain, offset=-12.0), DEVICE)
     assert result.settled
     values = told(result)
@@ -124,7 +131,7 @@ def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
     ],
 )
 def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
-    at_rest = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
+    at_rest = analyse_temperature(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
     result = at_rest + analyse_back_emf(ticks, DEVICE)
     (finding,) = refused(result)
     assert name in finding.remedy
@@ -134,7 +141,7 @@ def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
 def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
     asked = []
     with Hand() as hand:
-        result = measure(
+        result = measure_temperature(
             hand.bench, lambda one: asked.append(one.action), KnownTemperatures((295.0,))
         )
     assert "degC" in refused(result)[0].what
@@ -143,17 +150,17 @@ def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
 
 def test_a_board_without_the_sensor_is_told_so():
     with Hand(lacks=("temperature",)) as hand, pytest.raises(AnalysisError, match="no temperature"):
-        measure(hand.bench, hand.ask, KnownTemperatures((22.0,)))
+        measure_temperature(hand.bench, hand.ask, KnownTemperatures((22.0,)))
 
 
 @pytest.mark.parametrize("celsius", [(), (20.0, 21.0), (20.0, 40.0, 60.0)])
 def test_temperatures_that_tell_no_line_are_refused_before_anything(celsius):
     with Hand() as hand, pytest.raises(AnalysisError, match="temperatures"):
-        measure(hand.bench, hand.ask, KnownTemperatures(celsius))
+        measure_temperature(hand.bench, hand.ask, KnownTemperatures(celsius))
 
 
 def test_a_device_that_is_enabled_is_left_alone():
     with Hand() as hand:
         hand.bench.enable()
         with pytest.raises(CommandError, match="disabled"):
-            measure(hand.bench, hand.ask, KnownTemperatures((22.0,)))
+            measure_temperature(hand.bench, hand.ask, KnownTemperatures((22.0,)))

@@ -9,7 +9,7 @@ from random import Random
 from typing import Any
 
 from hapticd.model.composed import POSITION, VELOCITY
-from hapticd.rig.hand import Request
+from hapticd.rig.result import Request
 
 GRAVITY_M_PER_S2 = 9.80665
 GRIP_N_PER_M = 5e3

@@ -2,7 +2,7 @@
 
     with BlindRig(7) as rig:                # or BlindRig(7, "stuck encoder", coulomb_n=0.5)
         rig.bench                           a LockStepClient, the Client that steps get
-        rig.ask                             the person who fulfils a `rig.hand.Request`
+        rig.ask                             the person who fulfils a `rig.result.Request`
         rig.device_file                     template with the board's nominal scales, in a folder
         rig.write(result)                   stores and writes the results of a step, as the verbs do
         rig.restart()                       a new daemon of the written file; the device stays
@@ -29,20 +29,10 @@ import tomlkit
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.rig import device_file
-from hapticd.rig.device_file import keep
+from hapticd.rig import certificate
+from hapticd.rig.certificate import keep
 from hapticd.rig.result import Finding, StepResult, Value
-from hapticd.rig.steps import (
-    damping,
-    encoder,
-    identify,
-    link,
-    motor,
-    probe,
-    temperature,
-    verify,
-    winding,
-)
+from hapticd.rig.steps import damping, encoder, identify, link, motor, probe, verify, winding
 from hapticd.rig.steps.probe_fits import ReferenceSpring
 from hapticd.run import lockstep
 from hapticd.run.lockstep_client import LockStepClient
@@ -142,7 +132,7 @@ class BlindRig:
         kept = keep(self.device_file, result.step, DAY, result.arrays)
         if result.settled and result.changes:
             words = "; ".join(str(value) for value in result.values)
-            device_file.write(
+            certificate.write_changes(
                 self.device_file,
                 result.changes,
                 f"rig {result.step}",
@@ -262,8 +252,8 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "winding": lambda rig: winding.measure(rig.bench, rig.ask),
     "damping": lambda rig: damping.measure(rig.bench, rig.ask),
     "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.AttachedMass(FIXED_KG)),
-    "temperature": lambda rig: temperature.measure(
-        rig.bench, rig.ask, temperature.KnownTemperatures((NOMINAL["ambient_c"],))
+    "temperature": lambda rig: winding.measure_temperature(
+        rig.bench, rig.ask, winding.KnownTemperatures((NOMINAL["ambient_c"],))
     ),
     "identify": lambda rig: identify.measure(rig.bench, rig.ask),
     "verify": lambda rig: verify.measure(rig.bench, rig.ask, verify.KnownParts()),

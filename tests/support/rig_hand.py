@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hapticd.model.step import make_plant
-from hapticd.rig.hand import Request
+from hapticd.rig.result import Request
 from hapticd.run.lockstep_client import LockStepClient
 from support.boards import board_params
 from support.models import device_params, servo_params

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hapticd.core.errors import ConfigError
-from hapticd.rig.device_file import changed, write
+from hapticd.rig.certificate import changed, write_changes
 from hapticd.rig.result import Change, rounded
 from hapticd.settings.toml import shipped
 
@@ -24,7 +24,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_a_value_is_replaced_and_every_comment_stays(file: Path) -> None:
     before = file.read_text()
-    device = write(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY)
+    device = write_changes(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY)
     assert device.force.full_scale_n == 7.5
     assert device.force.measured_on == DAY
     assert device.force.measured_by == "rig motor"
@@ -45,18 +45,18 @@ def test_a_table_that_is_missing_is_added(file: Path) -> None:
         Change("commissioning", "signs_verified", True),
         Change("commissioning", "serial", "CHANGE-ME"),
     ]
-    device = write(file, changes, "rig motor", DAY)
+    device = write_changes(file, changes, "rig motor", DAY)
     assert device.commissioning is not None
     assert device.commissioning.signs_verified
     assert device.commissioning.measured_on == DAY
-    write(file, changes, "rig motor", DAY)
+    write_changes(file, changes, "rig motor", DAY)
     assert file.read_text().count("[commissioning]") == 1
 
 
 def test_a_file_that_would_not_be_valid_leaves_the_old_one(file: Path) -> None:
     before = file.read_bytes()
     with pytest.raises(ConfigError, match="full_scale_n"):
-        write(file, [Change("force", "full_scale_n", -1.0)], "rig motor", DAY)
+        write_changes(file, [Change("force", "full_scale_n", -1.0)], "rig motor", DAY)
     assert file.read_bytes() == before
     assert [path.name for path in file.parent.iterdir()] == ["own.toml"]
 
@@ -74,7 +74,7 @@ MODEL = [
 
 def test_a_model_of_several_tables_is_written_and_dated(file: Path) -> None:
     """The source of an effect is a tag: how it was measured goes to its note."""
-    device = write(file, MODEL, "rig identify", DAY, "0.05 kg")
+    device = write_changes(file, MODEL, "rig identify", DAY, "0.05 kg")
     assert device.model is not None
     assert device.model.effects == ("viscous", "coulomb")
     assert device.model.table("masses").rotor_kg == 0.05
@@ -84,7 +84,7 @@ def test_a_model_of_several_tables_is_written_and_dated(file: Path) -> None:
     assert device.model.table("coulomb").measured_on == DAY
     again = [Change("model.coulomb", "rotor_n", 0.04), Change("model", "effects", ("coulomb",))]
     before = tomllib.loads(file.read_text())
-    device = write(file, again, "rig identify", DAY, "0.04 N")
+    device = write_changes(file, again, "rig identify", DAY, "0.04 N")
     assert device.model is not None
     assert device.model.table("coulomb").rotor_n == 0.04
     after = tomllib.loads(file.read_text())
@@ -95,7 +95,7 @@ def test_a_model_of_several_tables_is_written_and_dated(file: Path) -> None:
 
 def test_a_new_key_stands_with_its_table_and_not_below_the_comments_that_follow(file: Path) -> None:
     before = file.read_text().splitlines()
-    write(file, [Change("temperature", "offset_count", 12.0)], "rig temperature", DAY)
+    write_changes(file, [Change("temperature", "offset_count", 12.0)], "rig temperature", DAY)
     after = file.read_text().splitlines()
     place = after.index("offset_count = 12.0")
     assert after[place - 1].startswith("source = ")
@@ -129,43 +129,45 @@ def test_other_ways_to_lay_out_a_file_are_written_as_well(text: str) -> None:
 
 
 def test_an_offset_alone_leaves_the_source_of_the_gain(file: Path) -> None:
-    write(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY, "gain")
-    device = write(file, [Change("force", "offset_count", 9.0)], "rig motor", DAY, "offset")
+    write_changes(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY, "gain")
+    device = write_changes(file, [Change("force", "offset_count", 9.0)], "rig motor", DAY, "offset")
     assert device.force.source == "rig motor: gain"
     both = [Change("force", "full_scale_n", 7.4), Change("force", "offset_count", 8.0)]
-    assert write(file, both, "rig motor", DAY, "both").force.source == "rig motor: both"
+    assert write_changes(file, both, "rig motor", DAY, "both").force.source == "rig motor: both"
 
 
 def test_half_widths_stand_beside_what_was_measured_and_go_with_the_next_measurement(
     file: Path,
 ) -> None:
     known = [Change("force", "full_scale_n", 7.5, 0.012)]
-    assert write(file, known, "rig motor", DAY).force.half_width_95 == {"full_scale_n": 0.012}
+    assert write_changes(file, known, "rig motor", DAY).force.half_width_95 == {
+        "full_scale_n": 0.012
+    }
     assert "half_width_95 = {full_scale_n = 0.012}" in file.read_text()
     unknown = [Change("force", "full_scale_n", 7.4)]
-    assert write(file, unknown, "rig motor", DAY).force.half_width_95 == {}
+    assert write_changes(file, unknown, "rig motor", DAY).force.half_width_95 == {}
 
 
 def test_a_step_that_is_none_and_a_width_of_nothing_are_refused(file: Path) -> None:
     """A misspelt step would grant no tolerance, and nobody would see why."""
     with pytest.raises(ConfigError, match=r"force\.measured_by = 'rig moter': must be 'rig"):
-        write(file, [Change("force", "full_scale_n", 7.5)], "rig moter", DAY)
+        write_changes(file, [Change("force", "full_scale_n", 7.5)], "rig moter", DAY)
     text = file.read_text().replace("[force]", "[force]\nhalf_width_95 = { full_scale = 1.0 }")
     file.write_text(text)
     with pytest.raises(ConfigError, match="'full_scale' is not a key of this table"):
-        write(file, [Change("force", "sign", 1)], "rig motor", DAY)
+        write_changes(file, [Change("force", "sign", 1)], "rig motor", DAY)
 
 
 def test_a_file_that_is_no_toml_any_more_is_named_and_left(file: Path) -> None:
     file.write_text("[force\n")
     with pytest.raises(ConfigError, match=r"own\.toml:1"):
-        write(file, [Change("force", "sign", -1)], "rig motor", DAY)
+        write_changes(file, [Change("force", "sign", -1)], "rig motor", DAY)
     assert file.read_text() == "[force\n"
 
 
 def test_who_may_read_the_file_stays(file: Path) -> None:
     file.chmod(0o640)
-    write(file, [Change("force", "sign", -1)], "rig motor", DAY)
+    write_changes(file, [Change("force", "sign", -1)], "rig motor", DAY)
     assert file.stat().st_mode & 0o777 == 0o640
 
 
@@ -187,7 +189,7 @@ def test_hashes_in_text_are_no_comments() -> None:
 
 def test_the_shipped_template_is_not_written_into() -> None:
     with pytest.raises(ConfigError, match="copy it"):
-        write(TEMPLATE, [Change("force", "sign", -1)], "rig motor", DAY)
+        write_changes(TEMPLATE, [Change("force", "sign", -1)], "rig motor", DAY)
 
 
 def test_a_value_has_digits_down_to_a_hundredth_of_its_interval() -> None:

@@ -15,8 +15,8 @@ from hapticd.core.environment import FilterParams
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import to_plain
 from hapticd.rig.result import Value
-from hapticd.rig.steps import reference_vectors as vectors
 from hapticd.rig.steps import verify
+from hapticd.rig.steps import verify as vectors
 from hapticd.rig.steps.verify import (
     KnownParts,
     Rendering,

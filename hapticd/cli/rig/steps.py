@@ -27,8 +27,8 @@ from hapticd.core.params import DeviceParams, ScaleParams
 
 with deferred_imports():
     from hapticd.client import client as clients
-    from hapticd.rig import device_file
-    from hapticd.rig import hand as hands
+    from hapticd.rig import certificate
+    from hapticd.rig import result as hands
     from hapticd.rig import result as results
     from hapticd.rig.steps import link as link_step
     from hapticd.settings import build, load
@@ -128,7 +128,7 @@ def perform(
 
     ConfigError if the daemon runs another device than `settings`, or the file cannot be written.
     """
-    device_file.refuse_shipped(settings.device_file)
+    certificate.refuse_shipped(settings.device_file)
     with ExitStack() as stack:
         stack.enter_context(signals_end_with_force_off())
         client = stack.enter_context(connect(options.instance))
@@ -177,7 +177,7 @@ def _written(
 ) -> "results.StepResult":
     day = datetime.date.today()
     path = settings.device_file
-    kept = device_file.keep(path, result.step, day, result.arrays)
+    kept = certificate.keep(path, result.step, day, result.arrays)
     if not result.settled or not result.changes:
         return result
     if not yes:
@@ -187,7 +187,7 @@ def _written(
             terminal.talk(f"not written: {path} is as it was")
             return replace(result, changes=())
     words = "; ".join(str(value) for value in result.values) or "signs seen"
-    device_file.write(path, result.changes, f"rig {result.step}", day, f"{words}; {kept}")
+    certificate.write_changes(path, result.changes, f"rig {result.step}", day, f"{words}; {kept}")
     terminal.talk(f"written: {path}; it counts from the next start of the daemon")
     return result
 

@@ -16,17 +16,17 @@ from hapticd.core.errors import AnalysisError, ConfigError
 with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate, experiment
-    from hapticd.rig import hand as hands
+    from hapticd.rig import result as hands
     from hapticd.rig import result as results
     from hapticd.rig.steps import damping as damping_step
     from hapticd.rig.steps import delivery, probe_fits
     from hapticd.rig.steps import encoder as encoder_step
     from hapticd.rig.steps import identify as identify_step
     from hapticd.rig.steps import motor as motor_step
+    from hapticd.rig.steps import motor as spring_step
     from hapticd.rig.steps import probe as probe_step
-    from hapticd.rig.steps import spring as spring_step
-    from hapticd.rig.steps import temperature as temperature_step
     from hapticd.rig.steps import verify as verify_step
+    from hapticd.rig.steps import winding as temperature_step
     from hapticd.rig.steps import winding as winding_step
     from hapticd.settings import load
 
@@ -141,7 +141,9 @@ def motor(
             masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
             return motor_step.measure_gain(client, ask, masses)
         if spring is not None:
-            return spring_step.measure(client, ask, spring_step.Spring(spring, spring_tolerance))
+            return spring_step.measure_spring(
+                client, ask, spring_step.Spring(spring, spring_tolerance)
+            )
         if offset:
             return spring_step.measure_offset(client, ask)
         if winding:
@@ -280,7 +282,7 @@ def temperature(
     stated = temperature_step.KnownTemperatures(tuple(at), tolerance)
     steps.run(
         options,
-        lambda client, ask: temperature_step.measure(client, ask, stated, not no_shake),
+        lambda client, ask: temperature_step.measure_temperature(client, ask, stated, not no_shake),
     )
 
 
@@ -340,7 +342,7 @@ def verify(
 
     result = steps.perform(options, settings, measure)
     said = certificate.content(result, datetime.now().astimezone(), *about)
-    for path in certificate.write(said, settings.device_file):
+    for path in certificate.write_certificate(said, settings.device_file):
         terminal.talk(f"written: {path}")
     steps.show(result, options.as_json)
 

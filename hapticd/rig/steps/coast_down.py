@@ -56,16 +56,19 @@ from hapticd.core.arrays import Floats
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import US_PER_S, percent
 from hapticd.render.winding import LEAST_LOOP_GAIN
-from hapticd.rig.estimate import Fit, least_squares, mean_half, separable
 from hapticd.rig.result import (
     FACTOR,
     Change,
     Finding,
+    Fit,
     StepResult,
     Value,
     change_of,
     checked,
+    least_squares,
+    mean_half,
     relative_half,
+    separable,
 )
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 

@@ -40,8 +40,7 @@ from hapticd.rig.experiment import (
     servo_rate_hz,
     undamped,
 )
-from hapticd.rig.hand import Ask, Request
-from hapticd.rig.result import FACTOR, Finding, StepResult, settled
+from hapticd.rig.result import FACTOR, Ask, Finding, Request, StepResult, settled
 from hapticd.rig.steps.coast_down import (
     LEVELS,
     REFUSE,

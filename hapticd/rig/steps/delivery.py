@@ -45,10 +45,8 @@ from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
-from hapticd.rig.estimate import least_squares
 from hapticd.rig.experiment import begin_step, collect, rendering, require_force, undamped
-from hapticd.rig.hand import Ask, Request
-from hapticd.rig.result import Finding, StepResult, Value, checked
+from hapticd.rig.result import Ask, Finding, Request, StepResult, Value, checked, least_squares
 from hapticd.rig.steps.coast_down import REFUSE, margin
 from hapticd.signal.delivered import CALIBRATION, LAG_S, SIMPSON, WINDOW, Estimate
 from hapticd.usb.frames import Capability

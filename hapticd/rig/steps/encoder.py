@@ -26,10 +26,21 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import MOST_CORRECTION
 from hapticd.core.units import percent
-from hapticd.rig.estimate import deviation, mean_half
 from hapticd.rig.experiment import begin_step, collect
-from hapticd.rig.hand import Action, Ask, Request
-from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, checked, settled
+from hapticd.rig.result import (
+    Action,
+    Ask,
+    Change,
+    Finding,
+    Request,
+    StepResult,
+    Value,
+    change_of,
+    checked,
+    deviation,
+    mean_half,
+    settled,
+)
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, StatusBit
 

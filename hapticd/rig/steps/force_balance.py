@@ -43,8 +43,8 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.rig.estimate import Fit, jackknife, lines, quantile
 from hapticd.rig.experiment import PerturbationRun
+from hapticd.rig.result import Fit, jackknife, lines, quantile
 from hapticd.rig.steps.force_terms import (
     BLOCK,
     EDGE,

@@ -23,8 +23,8 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.rig.estimate import jackknife, lines
 from hapticd.rig.experiment import SAMPLE_US, PerturbationRun
+from hapticd.rig.result import jackknife, lines
 
 H_S = 1.0 / PROBE_RATE_HZ
 BLOCK = PROBE_RATE_HZ  # samples: lines 1 Hz apart

@@ -28,8 +28,16 @@ from hapticd.model.linearise import GAIN
 from hapticd.model.theorem import required_damping
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
 from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run
-from hapticd.rig.hand import Ask, Request
-from hapticd.rig.result import Change, Finding, StepResult, Value, checked, relative_half
+from hapticd.rig.result import (
+    Ask,
+    Change,
+    Finding,
+    Request,
+    StepResult,
+    Value,
+    checked,
+    relative_half,
+)
 from hapticd.rig.steps.force_balance import NAMES, Balance, Test, fit_rigid_mass, fit_two_masses
 from hapticd.rig.steps.mechanics import (
     UNKNOWN_SHARE,

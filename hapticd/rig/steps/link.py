@@ -42,9 +42,17 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.units import MS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
 from hapticd.protocol.answers import Status
-from hapticd.rig.estimate import NORMAL, in_blocks, jackknife
 from hapticd.rig.experiment import begin_step, collect, servo_rate_hz
-from hapticd.rig.result import Finding, StepResult, Value, Verdict, checked
+from hapticd.rig.result import (
+    NORMAL,
+    Finding,
+    StepResult,
+    Value,
+    Verdict,
+    checked,
+    in_blocks,
+    jackknife,
+)
 from hapticd.usb.frames import Capability, StatusBit
 
 __all__ = ["measure"]

@@ -27,7 +27,6 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
-from hapticd.rig.estimate import NORMAL
 from hapticd.rig.excitation import (
     LINES_HZ,
     PERIOD_S,
@@ -40,11 +39,13 @@ from hapticd.rig.excitation import (
     sines,
 )
 from hapticd.rig.experiment import begin_step, record
-from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
+    NORMAL,
     POSITION_HALF,
+    Ask,
     Change,
     Finding,
+    Request,
     StepResult,
     Value,
     change_of,

@@ -53,10 +53,9 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.rig.estimate import Fit, least_squares
 from hapticd.rig.excitation import LINES_HZ, Lines, Recording, amplitudes, lines
 from hapticd.rig.experiment import SAMPLE_US
-from hapticd.rig.result import Change, Finding, StepResult, Value, checked
+from hapticd.rig.result import Change, Finding, Fit, StepResult, Value, checked, least_squares
 
 __all__ = ["ReferenceSpring"]
 
