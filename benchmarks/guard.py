@@ -32,7 +32,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, Worker, environment
 from hapticd.core.units import NS_PER_MS
 from hapticd.guard.worker import LENGTH
-from hapticd.run.resolve import write
+from hapticd.run.supervisor import write
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 

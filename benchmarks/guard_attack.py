@@ -44,7 +44,7 @@ from hapticd.core.params import GuardSetup, ServoParams, from_plain
 from hapticd.guard.bases import model_of
 from hapticd.guard.judge import Judge
 from hapticd.mailbox import files
-from hapticd.run.resolve import resolve
+from hapticd.run.supervisor import resolve
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped

@@ -18,8 +18,7 @@ from benchmarks.worker import ROOT, BenchError, environment
 from hapticd.mailbox import files
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
-from hapticd.run.resolve import write
-from hapticd.run.supervisor import mailbox_served
+from hapticd.run.supervisor import mailbox_served, write
 
 TARGETS = targets.of("process")
 RATE_HZ = 8000

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hapticd.run.resolve import resolve
+from hapticd.run.supervisor import resolve
 from hapticd.settings.load import Override, Settings, load
 from hapticd.settings.toml import shipped
 

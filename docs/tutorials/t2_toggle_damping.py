@@ -12,8 +12,7 @@ damping it renders about 100 N/m, with 1.74 N s/m about 600.
 import numpy as np
 
 from hapticd.core.faults import BY_NUMBER
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
 
 device = LockStepClient(*scene_params("fig7"))  # live: device = Client()

@@ -26,11 +26,11 @@ from hapticd.protocol.answers import Status, answer_of
 with deferred_imports():
     from hapticd.protocol import journal, leases
     from hapticd.recording import provenance
-    from hapticd.run import resolve
+    from hapticd.run import supervisor
     from hapticd.run import system_files as service
-    from hapticd.run.doctor import checks, late, probes, wake
+    from hapticd.run.doctor import checks, late, probes
+    from hapticd.run.doctor import checks as reports
     from hapticd.run.doctor import machine as machines
-    from hapticd.run.doctor import report as reports
     from hapticd.settings import build, load, scene, tables
     from hapticd.settings import config as config_files
     from hapticd.settings import device as device_files
@@ -59,7 +59,7 @@ def check_config(
     if leases.in_the_clear(gateway):
         warning = journal.sentence("telemetry_open", address=gateway.tcp_host)
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
-    servo = resolve.resolve(settings, terminal.INSTANCE)[SERVO_JSON]
+    servo = supervisor.resolve(settings, terminal.INSTANCE)[SERVO_JSON]
     doubted = provenance.doubts(servo, datetime.date.today())
     found = {
         "config": str(settings.config_file),
@@ -158,7 +158,7 @@ def resolve_config(
     `hapticd run` does.
     """
     settings = load.load(config)
-    written = resolve.write(runtime_folder(instance), settings, instance)
+    written = supervisor.write(runtime_folder(instance), settings, instance)
     paths = {name: str(path) for name, path in written.items()}
     terminal.show({"hash": settings.config_hash, "files": paths}, paths.values(), as_json)
 
@@ -249,12 +249,12 @@ def _wake(
     seconds: float, asked: "machines.Requirements"
 ) -> "tuple[checks.CheckResult, dict[str, Any]]":
     try:
-        measured = wake.measure(seconds, asked.realtime.core)
+        measured = late.measure(seconds, asked.realtime.core)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         found = f"could not be measured: {error}"
         fix = "run it again on an idle machine"
         return checks.CheckResult("wake-up", probes.FAIL, found, "", fix), {}
-    return wake.judge(measured, asked), measured
+    return late.judge_wake(measured, asked), measured
 
 
 def _check_lines(finding: "checks.CheckResult") -> Iterator[str]:

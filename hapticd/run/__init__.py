@@ -2,10 +2,10 @@
 
 No module here prints, and each imports only the dependencies of its own process.
 
-    supervisor       Supervisor: starts, restarts and ends servo and gateway
-    resolve          write(folder, settings, instance): the JSON files that processes start from
-    lockstep         LockStep: the whole stack on virtual time; scene_params(scene)
-    lockstep_client  LockStepClient: a client of that stack; virtual: one with a guard
+    supervisor       Supervisor: starts, restarts and ends servo and gateway; write(folder,
+                     settings, instance): the JSON files that processes start from
+    lockstep         LockStep: the whole stack on virtual time; scene_params(scene); LockStepClient:
+                     a client of that stack; virtual: one with a guard
     system_files     files that a machine needs to run hapticd as a service
     doctor           checks of the machine for real-time use, and the support report
     replay           replay(params, segment): the step over a recording, bit by bit

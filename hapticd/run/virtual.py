@@ -45,8 +45,8 @@ from hapticd.protocol.answers import Receipt
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
-from hapticd.run.lockstep_client import LockStepClient
-from hapticd.run.resolve import resolve
+from hapticd.run.lockstep import LockStepClient
+from hapticd.run.supervisor import resolve
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 

@@ -21,8 +21,7 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, Command, Flag, Result, Value
 from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock
 from hapticd.protocol.view import Records, as_records
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.live import signals
 
 __all__ = ["LockStepTrial", "run_lockstep"]

@@ -14,7 +14,7 @@ from support.spectral_trials import mass_damper, record
 
 from hapticd.cli import change
 from hapticd.core.params import InjectionParams
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

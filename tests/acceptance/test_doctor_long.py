@@ -2,9 +2,9 @@
 
 import pytest
 
-from hapticd.run.doctor import wake
+from hapticd.run.doctor import late
 
 
 def test_worker_that_fails_says_why() -> None:
     with pytest.raises(OSError, match="ValueError: invalid literal"):
-        wake.measure(0.0, "x")  # type: ignore[arg-type]
+        late.measure(0.0, "x")  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from test_recording_calibrations import OLD, SCALES, TRIAL, dated
 from hapticd.cli import change
 from hapticd.cli.app import main
 from hapticd.recording.file import open_recording
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.store import read_summary

@@ -16,8 +16,7 @@ from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.rig.certificate import write_changes
 from hapticd.rig.steps.identify import measure
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings import build
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import device_scene, display

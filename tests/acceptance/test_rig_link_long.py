@@ -9,7 +9,7 @@ from test_rig_link import SECONDS, found, watched
 
 from hapticd.core.params import InjectionParams
 from hapticd.rig.steps.link import measure
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.usb.frames import StatusBit
 
 

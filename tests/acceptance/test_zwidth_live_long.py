@@ -10,8 +10,7 @@ from test_zwidth_live import RIGID, SECONDS, flown
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial

@@ -11,8 +11,7 @@ from support.measured_scenes import RIGID
 from test_zwidth_losses import TRIAL, unpacked
 
 from hapticd.model.scene import Excitation
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -7,8 +7,7 @@ import pytest
 from support.measured_scenes import RIGID
 from test_zwidth_multisine import shaken
 
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source

@@ -11,8 +11,7 @@ from test_zwidth_trial import lands_within
 
 from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source

@@ -9,7 +9,7 @@ from hapticd.cli.app import main
 from hapticd.guard.safe_region import passive_ranges
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import STATED, environment_limits
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.settings.load import Override, load
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped
@@ -17,7 +17,7 @@ from hapticd.zwidth.scenes import display
 
 
 def resolved(device: str) -> dict[str, dict]:
-    return resolve.resolve(load(None, (Override(("device",), device, "--device"),)), "test")
+    return supervisor.resolve(load(None, (Override(("device",), device, "--device"),)), "test")
 
 
 def test_daemon_has_the_bounds_of_its_model_everywhere_alike():

@@ -11,7 +11,7 @@ from support.models import servo_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.design import Condition, Table, blocks, joined, pairs, sweep
 from hapticd.core.errors import ConfigError
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 
 A = Condition("soft", {"K": 100.0})
 B = Condition("stiff", {"K": 120.0})

@@ -17,7 +17,7 @@ from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.run.doctor import machine, probes, wake
+from hapticd.run.doctor import late, machine, probes
 from hapticd.run.doctor.checks import CHECKS, Check, CheckResult, examine, examined
 from hapticd.run.doctor.machine import (
     CAP_IPC_LOCK,
@@ -718,7 +718,7 @@ def test_latencies_are_from_deadline_to_waking() -> None:
     def wait(deadline_ns: int, rehearse: Callable[[], object]) -> int:
         return virtual_wait(clock)(deadline_ns + next(late_us) * NS_PER_US, rehearse)
 
-    assert wake.latencies_us(wait, clock.now_ns(), 5) == Counter({3: 3, 7: 1, 2500: 1})
+    assert late.latencies_us(wait, clock.now_ns(), 5) == Counter({3: 3, 7: 1, 2500: 1})
 
 
 def test_late_wake_drops_periods_instead_of_catching_up() -> None:
@@ -731,12 +731,12 @@ def test_late_wake_drops_periods_instead_of_catching_up() -> None:
             deadline_ns + (2500 * NS_PER_US if len(deadlines) == 1 else 0), rehearse
         )
 
-    wake.latencies_us(wait, clock.now_ns(), 3)
+    late.latencies_us(wait, clock.now_ns(), 3)
     assert [deadline - deadlines[0] for deadline in deadlines] == [0, 3_000_000, 4_000_000]
 
 
 def test_quantiles_of_a_histogram() -> None:
-    assert wake.quantiles({10: 500, 20: 480, 90: 19, 4000: 1}) == {
+    assert late.quantiles({10: 500, 20: 480, 90: 19, 4000: 1}) == {
         "p50_us": 10,
         "p99_us": 90,
         "p999_us": 90,
@@ -763,8 +763,8 @@ def test_histogram_is_judged_by_spin_and_period(
 ) -> None:
     histogram = {p99_us: 100}
     rights = {"fifo": {"granted": fifo == "granted", "text": fifo}}
-    found = {"rights": rights, "histogram_us": histogram, **wake.quantiles(histogram)}
-    finding = wake.judge(found, asked())
+    found = {"rights": rights, "histogram_us": histogram, **late.quantiles(histogram)}
+    finding = late.judge_wake(found, asked())
     assert (finding.level, text in finding.found) == (level, True)
 
 
@@ -830,8 +830,8 @@ def test_doctor_adds_the_measurement(
     runtime: Path, findings: list[CheckResult], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     rights = {"fifo": {"granted": True, "text": "granted"}}
-    measured = {"rights": rights, "histogram_us": {9: 10}, **wake.quantiles({9: 10})}
-    monkeypatch.setattr(wake, "measure", lambda seconds, core: measured)
+    measured = {"rights": rights, "histogram_us": {9: 10}, **late.quantiles({9: 10})}
+    monkeypatch.setattr(late, "measure", lambda seconds, core: measured)
     assert main(["doctor", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["checks"][-1]["name"] == "wake-up"
@@ -844,6 +844,6 @@ def test_doctor_survives_a_failed_measurement(
     def measure(seconds: float, core: int | None) -> dict[str, Any]:
         raise OSError("no more processes")
 
-    monkeypatch.setattr(wake, "measure", measure)
+    monkeypatch.setattr(late, "measure", measure)
     assert main(["doctor", "--strict"]) == 6
     assert "could not be measured: no more processes" in capsys.readouterr().out

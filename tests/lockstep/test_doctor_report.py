@@ -12,9 +12,8 @@ from test_doctor import HUB_FILES, asked, make  # noqa: F401  # a fixture
 from hapticd.cli import system
 from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
-from hapticd.run.doctor.checks import CheckResult
+from hapticd.run.doctor.checks import CheckResult, report_of, usb_devices, write_report
 from hapticd.run.doctor.machine import Machine
-from hapticd.run.doctor.report import report_of, usb_devices, write_report
 
 HOME = "/home/ada.lovelace"
 SECRET = "s3cr3t-k3y"

@@ -11,7 +11,7 @@ from support.models import device_params, servo_params
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import to_plain
 from hapticd.recording.provenance import certificate_of, certificate_path, doubts, refuse_doubts
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.build import servo_params as built
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -7,7 +7,7 @@ from support.models import servo_params
 
 from hapticd.core.errors import CommandError
 from hapticd.rig.steps.link import drift_of, measure, median_of
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 
 SECONDS = 2.0
 

@@ -8,7 +8,7 @@ from support.models import servo_params
 
 from hapticd.rig.certificate import NOT_VERIFIED
 from hapticd.rig.steps.link import try_watchdog
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.sim.axis import Axis
 
 SAID = "as reported by the board; no force was on, so the end of a force was not measured"

@@ -27,7 +27,7 @@ from hapticd.mailbox.stop_word import (
     servo_lives,
     stop_taken,
 )
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.load import load
@@ -351,7 +351,7 @@ def test_group_may_write_the_stop_word_and_no_other_file(runtime: Path) -> None:
     folder = files.prepare_folder(files.runtime_folder())
     before = os.umask(0)
     try:
-        resolve.write(folder, load(shipped("config") / "hapticd.toml"), "default")
+        supervisor.write(folder, load(shipped("config") / "hapticd.toml"), "default")
         with GatewayRig(folder) as rig:
             rig.servo.mailbox.report({"a": 1})
             modes = {path.name: path.lstat().st_mode for path in folder.iterdir()}

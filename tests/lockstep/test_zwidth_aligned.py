@@ -15,8 +15,7 @@ from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import MARK_LEAD
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals
 from hapticd.zwidth.sources import Trial

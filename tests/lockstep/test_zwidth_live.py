@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source

@@ -13,8 +13,7 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
 from hapticd.core.faults import BY_CODE
 from hapticd.protocol.answers import Status
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.live import _gone, daemon_source

@@ -11,8 +11,7 @@ from support.measured_scenes import RIGID
 
 from hapticd.core.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.model.scene import Excitation
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.signal.assess import Criteria
 from hapticd.signal.impedance import impedance

@@ -17,7 +17,7 @@ from support.assembly_guard import REQUEST
 from support.tree import ROOT
 
 from hapticd.mailbox import files
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.settings.load import load
 
 LENGTH = struct.Struct("<I")
@@ -56,7 +56,7 @@ def send(line: socket.socket, message: Any) -> None:
 @pytest.mark.process
 def test_worker_says_hello_answers_and_ends_with_the_gateway(runtime: Path) -> None:
     folder = runtime / "hapticd" / "instance-guard"
-    resolve.write(folder, load(ROOT / "tests/support/data" / "guard_weir2008.toml"), "guard")
+    supervisor.write(folder, load(ROOT / "tests/support/data" / "guard_weir2008.toml"), "guard")
     setup = json.loads((folder / files.GUARD_JSON).read_text())
     with worker(folder) as (process, line):
         hello = receive(line)["hello"]

@@ -2,12 +2,12 @@
 
 import pytest
 
-from hapticd.run.doctor import wake
+from hapticd.run.doctor import late
 
 
 @pytest.mark.process
 def test_worker_reports_rights_and_histogram() -> None:
-    found = wake.measure(0.05, None)
+    found = late.measure(0.05, None)
     assert sum(found["histogram_us"].values()) == 50
     assert found["rights"]["garbage_collector"]["granted"]
     assert found["p50_us"] <= found["max_us"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.layers import NEVER_IN_SERVO, modules_after, packages
 
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.settings.load import load
 
 FLY_AND_TELL = """
@@ -33,7 +33,7 @@ def test_flying_servo_is_small_and_single(runtime: Path) -> None:
     """
     config = runtime / "hapticd.toml"
     config.write_text("[realtime]\nmode = 'off'\nspin_us = 0.0\n")
-    written = resolve.write(runtime / "hapticd" / "instance-layers", load(config), "layers")
+    written = supervisor.write(runtime / "hapticd" / "instance-layers", load(config), "layers")
     found = modules_after(FLY_AND_TELL, str(written["servo.json"]), str(written["board.json"]))
     assert found["code"] == 0
     assert found["threads"] == 1

@@ -14,7 +14,7 @@ import pytest
 from support.systemd import DEADLINE_S, Service
 
 from hapticd.mailbox import files, layout
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 
@@ -38,7 +38,7 @@ def servo_process(
         shipped("config") / "hapticd.toml",
         (Override(("realtime", "mode"), "off", "test"), *traits),
     )
-    written = resolve.write(folder, settings, files.DEFAULT_INSTANCE)
+    written = supervisor.write(folder, settings, files.DEFAULT_INSTANCE)
     command = [
         sys.executable,
         "-m",

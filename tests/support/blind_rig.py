@@ -35,7 +35,7 @@ from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.rig.steps import damping, encoder, identify, link, motor, probe, verify, winding
 from hapticd.rig.steps.probe_fits import ReferenceSpring
 from hapticd.run import lockstep
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST

@@ -1,7 +1,6 @@
 """One trial by the whole stack in lock-step, on the board given to the simulation."""
 
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.sources import Trial

@@ -26,7 +26,7 @@ from hapticd.model.effects import (
     Viscous,
     WindingTemperature,
 )
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.settings.guard import model_params
 from hapticd.settings.load import load
 
@@ -127,7 +127,7 @@ def rigid_judge(viscous_ns_per_m: float = VISCOUS_NS_PER_M, delay_periods: float
 def shipped_setup(device: str = "weir2008") -> GuardSetup:
     """guard.json of a configuration with that shipped device."""
     path = Path(__file__).parent / "data" / f"guard_{device}.toml"
-    plain = resolve.resolve(load(path), "guard")[files.GUARD_JSON]
+    plain = supervisor.resolve(load(path), "guard")[files.GUARD_JSON]
     return from_plain(GuardSetup, plain)
 
 

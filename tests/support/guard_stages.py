@@ -14,7 +14,7 @@ from hapticd.mailbox import files
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import Records, ServoView, as_records
 from hapticd.run.lockstep import LockStep
-from hapticd.run.resolve import resolve
+from hapticd.run.supervisor import resolve
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from support.gateway_rig import UNIX_NS, decoded, packed

@@ -19,8 +19,7 @@ from hapticd.core.clock import Clock
 from hapticd.core.params import BoardParams, ServoParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.run import lockstep
-from hapticd.run.lockstep import scene_params
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.zwidth.live import allowed_waveform
 from hapticd.zwidth.sources import Trial

@@ -7,7 +7,7 @@ from typing import Any
 
 from hapticd.model.step import make_plant
 from hapticd.rig.result import Request
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from support.boards import board_params
 from support.models import device_params, servo_params
 

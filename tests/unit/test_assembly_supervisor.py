@@ -16,7 +16,7 @@ from hapticd.core.params import BoardParams, GatewaySetup, GuardSetup, ServoPara
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.run import resolve
+from hapticd.run import supervisor
 from hapticd.run.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -354,7 +354,7 @@ def test_mailbox_counts_only_of_this_process(tmp_path: Path) -> None:
 
 
 def test_resolved_files_hold_the_parameters(folder: Path) -> None:
-    resolve.write(folder, load(shipped("config") / "hapticd.toml"), "default")
+    supervisor.write(folder, load(shipped("config") / "hapticd.toml"), "default")
     kinds = {
         files.SERVO_JSON: ServoParams,
         files.BOARD_JSON: BoardParams,
@@ -374,7 +374,7 @@ def test_resolved_files_hold_the_parameters(folder: Path) -> None:
 def test_real_board_leaves_no_board_file(folder: Path, tmp_path: Path) -> None:
     file = tmp_path / "hapticd.toml"
     file.write_text('device = "example-board"')
-    resolve.write(folder, load(shipped("config") / "hapticd.toml"), "default")
+    supervisor.write(folder, load(shipped("config") / "hapticd.toml"), "default")
     assert (folder / files.BOARD_JSON).exists()
-    resolve.write(folder, load(file), "default")
+    supervisor.write(folder, load(file), "default")
     assert not (folder / files.BOARD_JSON).exists()

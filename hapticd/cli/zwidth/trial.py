@@ -26,7 +26,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
-    from hapticd.run import lockstep, lockstep_client
+    from hapticd.run import lockstep
     from hapticd.signal import assess
     from hapticd.signal import verdict as verdicts
     from hapticd.zwidth import (
@@ -397,7 +397,7 @@ def _simulated(
     if asked.source == "engine":
         return simulated.engine_source(scene)
     setup = lockstep.scene_params(_scene_name(asked))
-    bench = stack.enter_context(lockstep_client.LockStepClient(*setup))
+    bench = stack.enter_context(lockstep.LockStepClient(*setup))
     return live.daemon_source(bench, f"lock-step, scene {scene.name}")
 
 

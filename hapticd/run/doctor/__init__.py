@@ -9,8 +9,8 @@ Each check measures, judges, explains and gives the exact remedy.
     probes    the inspection for each row
     machine   the machine as the checks see it, `this_machine()` for the present one; and the
               requirements of the configuration
-    late      timing of the ticks of a running daemon
-    wake      wake-up latency of a process with the servo's rights; the only part that measures
+    late      timing of the ticks of a running daemon; wake-up latency of a process with the servo's
+              rights; the only part that measures
 
 No remedy is applied. The measurement runs in its own process, and its numbers compare with those of
 `cyclictest -m -p80`. The list follows rtcqs, with items specific to the servo: RealtimeKit's limit,

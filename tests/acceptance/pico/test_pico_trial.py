@@ -11,7 +11,7 @@ from support.pico_chip import Verb
 from support.pico_trial import chip_in_lock_step, display, fault_on_chip, record_on_chip
 
 from hapticd.core.errors import AnalysisError
-from hapticd.run.lockstep_client import LockStepClient
+from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.signal.verdict import Verdict
 from hapticd.zwidth.live import daemon_source
