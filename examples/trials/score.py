@@ -24,7 +24,7 @@ from statistics import fmean
 from typing import Any
 
 from hapticd.core.errors import ConfigError
-from hapticd.settings.inputs import SETTINGS_BYTES, regular
+from hapticd.settings.toml import SETTINGS_BYTES, regular
 from hapticd.zwidth.report.table import Table, table
 
 __all__ = [

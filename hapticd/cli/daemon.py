@@ -44,7 +44,7 @@ with deferred_imports():
     from hapticd.core import clock, process
     from hapticd.mailbox import daemons
     from hapticd.run import supervisor as supervisors
-    from hapticd.settings import build, inputs, load
+    from hapticd.settings import build, load, toml
 
 
 def run(
@@ -489,7 +489,7 @@ def load_waveform(
     as_json: terminal.Json = False,
 ) -> None:
     """Load a waveform, without starting it."""
-    inputs.regular(file, inputs.WAVEFORM_BYTES)
+    toml.regular(file, toml.WAVEFORM_BYTES)
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
             samples_n = (

@@ -31,8 +31,9 @@ with deferred_imports():
     from hapticd.run.doctor import checks, late, probes
     from hapticd.run.doctor import checks as reports
     from hapticd.run.doctor import machine as machines
-    from hapticd.settings import build, load, scene, tables
+    from hapticd.settings import build, load, scene
     from hapticd.settings import config as config_files
+    from hapticd.settings import config as tables
     from hapticd.settings import device as device_files
     from hapticd.sim import injection
 

@@ -53,7 +53,7 @@ from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA
 from hapticd.run.replay import Difference, Segment, difference, replay
-from hapticd.settings.inputs import SAMPLES_BYTES, regular
+from hapticd.settings.toml import SAMPLES_BYTES, regular
 
 __all__ = ["ReplayResult", "is_recording", "open_recording", "replay_recording", "total_j"]
 

@@ -48,7 +48,7 @@ from hapticd.mailbox.layout import LOST_SLOTS, State
 from hapticd.recording.file import DATASETS, GROUP, Recording, energies, open_recording
 from hapticd.recording.live import SUFFIX, require_finished
 from hapticd.recording.provenance import SCHEMA
-from hapticd.settings.inputs import regular
+from hapticd.settings.toml import regular
 
 __all__ = [
     "JSON_ATTRIBUTES",

@@ -53,7 +53,7 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.core.params import CALIBRATION_DAYS, to_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.answers import Hello, Status
-from hapticd.settings.inputs import SETTINGS_BYTES, regular
+from hapticd.settings.toml import SETTINGS_BYTES, regular
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = [

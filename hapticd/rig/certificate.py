@@ -62,9 +62,9 @@ from hapticd.recording.provenance import (
 )
 from hapticd.rig.experiment import BoardIdentity
 from hapticd.rig.result import Change, StepResult, Written
+from hapticd.settings.config import keys_of
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device
-from hapticd.settings.tables import keys_of
 from hapticd.settings.toml import read, shipped
 
 __all__ = ["content", "keep", "refuse_shipped", "write_certificate", "write_changes"]

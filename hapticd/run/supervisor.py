@@ -52,8 +52,8 @@ from hapticd.settings.build import (
     guard_params,
     servo_params,
 )
-from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
+from hapticd.settings.scene import guard_setup
 
 __all__ = ["ProcessEvent", "Supervisor", "resolve", "write"]
 

@@ -13,11 +13,11 @@ For scripts:
     load     load(file, overrides) -> Settings: the validated configuration with its device
     scene    load_scene(name or file) -> Scene; scene_names(); schema(kind)
     build    servo_params, board_params, gateway_params, device_params: parameters of the processes
-    inputs   regular(path): a user's file, if it can be read without waiting
-    toml     shipped(folder): files shipped with the package; read(file); did_you_mean
+    toml     shipped(folder): files shipped with the package; read(file); did_you_mean;
+             regular(path): a user's file, if it can be read without waiting
 
-`config` and `device` define the tables, `tables` parses them and reports mistakes; `guard` writes
-guard.json.
+`config` and `device` define the tables; `config` also parses them and reports mistakes. `scene`
+also writes guard.json.
 
 A fact in the device file must not be repeated elsewhere (limits and scales are checked against it).
 No value may change after validation (overrides are merged before it, so that they are checked as

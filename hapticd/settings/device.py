@@ -38,7 +38,7 @@ from hapticd.core.params import (
 )
 from hapticd.core.units import COPPER_PER_K
 from hapticd.model.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
-from hapticd.settings.tables import TomlTable
+from hapticd.settings.config import TomlTable
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["DeviceFile", "signs_hash"]

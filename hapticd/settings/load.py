@@ -23,15 +23,8 @@ from hapticd.core.params import LONGEST_TIMEOUT_MS
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
-from hapticd.settings.config import Config
-from hapticd.settings.device import (
-    FROM_SCALES,
-    TABLES,
-    DeviceFile,
-    DeviceModel,
-    ResistanceTable,
-)
-from hapticd.settings.tables import (
+from hapticd.settings.config import (
+    Config,
     Parsed,
     TomlTable,
     Where,
@@ -40,6 +33,13 @@ from hapticd.settings.tables import (
     leaves,
     parsed,
     validated,
+)
+from hapticd.settings.device import (
+    FROM_SCALES,
+    TABLES,
+    DeviceFile,
+    DeviceModel,
+    ResistanceTable,
 )
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST

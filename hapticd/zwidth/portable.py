@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.settings.load import find_device
-from hapticd.settings.toml import read, shipped
+from hapticd.settings.toml import SAMPLES_BYTES, read, regular, shipped
 from hapticd.signal.compare import (
     EnvelopeConditions,
     check_alike,

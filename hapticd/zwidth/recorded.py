@@ -33,7 +33,7 @@ from hapticd.core.extras import need
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.pack import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
-from hapticd.settings.inputs import SAMPLES_BYTES, regular
+from hapticd.settings.toml import SAMPLES_BYTES, regular
 from hapticd.zwidth.hapticd_files import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,

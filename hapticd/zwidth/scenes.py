@@ -26,9 +26,9 @@ from hapticd.model.model import Model
 from hapticd.model.predict import DEFAULT_BAND_HZ, Prediction, predict, recorded_impedances
 from hapticd.model.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
+from hapticd.settings.config import validated
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_config, find_device
-from hapticd.settings.tables import validated
 from hapticd.settings.toml import Document, read, shipped
 from hapticd.signal.spectra import DEFAULT_LAG
 

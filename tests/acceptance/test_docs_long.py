@@ -28,10 +28,9 @@ from hapticd.mailbox.layout import TELEMETRY
 from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE
 from hapticd.protocol.schemas import MODELS
 from hapticd.protocol.telemetry import TOPICS
-from hapticd.settings.config import Simulation
+from hapticd.settings.config import Simulation, keys_of, leaves
 from hapticd.settings.load import load
 from hapticd.settings.scene import schema
-from hapticd.settings.tables import keys_of, leaves
 from hapticd.settings.toml import shipped
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 

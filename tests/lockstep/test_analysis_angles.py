@@ -16,7 +16,7 @@ from hapticd.model.coupled import coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.theorem import Circles, outside_circles
-from hapticd.settings.guard import model_params
+from hapticd.settings.scene import model_params
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.01, 1.54, 0.25)
 

@@ -10,8 +10,8 @@ from support.guard_device import change, setup_of, shipped_setup
 from hapticd.core.params import GuardSetup, MeasuredParams, ServoParams
 from hapticd.guard.judge import Judge
 from hapticd.settings.build import servo_params
-from hapticd.settings.guard import measured_params
 from hapticd.settings.load import load
+from hapticd.settings.scene import measured_params
 from hapticd.settings.toml import shipped
 
 DEVICE_FILE = b"the device file"

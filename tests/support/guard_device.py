@@ -27,8 +27,8 @@ from hapticd.model.effects import (
     WindingTemperature,
 )
 from hapticd.run import supervisor
-from hapticd.settings.guard import model_params
 from hapticd.settings.load import load
+from hapticd.settings.scene import model_params
 
 Rows = tuple[tuple[float, ...], ...]
 MASS_KG = 0.08

@@ -12,9 +12,8 @@ from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
 from hapticd.protocol.flight import SUFFIX
 from hapticd.recording.file import open_recording
-from hapticd.settings.inputs import MIB, SETTINGS_BYTES, regular
 from hapticd.settings.load import find_config, load
-from hapticd.settings.toml import read
+from hapticd.settings.toml import MIB, SETTINGS_BYTES, read, regular
 from hapticd.zwidth.portable import read_portable
 from hapticd.zwidth.recorded import read_file
 

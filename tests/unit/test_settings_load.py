@@ -11,9 +11,8 @@ import pytest
 from hapticd.core.errors import ConfigError
 from hapticd.settings import load as settings_load
 from hapticd.settings import scene, toml
-from hapticd.settings.config import Config
+from hapticd.settings.config import Config, keys_of
 from hapticd.settings.load import Override, find_config, load
-from hapticd.settings.tables import keys_of
 from hapticd.settings.toml import read, shipped
 
 

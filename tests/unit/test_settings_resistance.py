@@ -9,8 +9,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.render.winding import least_residual_ohm, loop_gain, ohm
 from hapticd.settings.build import servo_params
-from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import load
+from hapticd.settings.scene import guard_setup
 from hapticd.settings.toml import shipped
 
 WARMING = (shipped("config") / "devices" / "warming.toml").read_text()
