@@ -14,7 +14,7 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
 from benchmarks.spa_c import SpaReference
 from benchmarks.worker import BenchError
-from hapticd.signal import kernels as plain
+from hapticd.signal import covariances as plain
 from hapticd.signal.spectra import Spectra, spa
 
 TARGETS = targets.of("spa")

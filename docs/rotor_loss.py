@@ -28,7 +28,7 @@ from examples.weir2008.run import conditions
 from hapticd.core.arrays import Flags, Floats
 from hapticd.model.blueprint import StateVariable
 from hapticd.model.model import Array, Model, Output, Outputs, frozen
-from hapticd.signal.envelope import accepted
+from hapticd.signal.passive_set import accepted
 from hapticd.signal.verdict import judge
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit

@@ -57,8 +57,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import ShapedDamping
 from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system
 from hapticd.signal.compare import mean_over_ln_f
-from hapticd.signal.envelope import Edge
-from hapticd.signal.passive_set import grid, open_ends, passive_set, volume
+from hapticd.signal.passive_set import Edge, grid, open_ends, passive_set, volume
 from hapticd.signal.search import predicted_passive
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map

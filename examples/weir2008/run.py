@@ -45,9 +45,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
 from hapticd.settings.scene import load_scene
-from hapticd.signal.envelope import Envelope, accepted, of_predicted
 from hapticd.signal.impedance import Impedance, impedance
-from hapticd.signal.passive_set import grid
+from hapticd.signal.passive_set import Envelope, accepted, grid, of_predicted
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.limits import (

@@ -5,9 +5,9 @@ pure, their results are frozen, and they need numpy alone. If numba is installed
 inner loops are compiled. Impedance is the force applied to the device over its velocity, N s/m,
 measured at the probe unless stated otherwise. For scripts:
 
-    assess       `assess`: from spectra to verdict, findings and finer resolution
+    assess       `assess`: from spectra to verdict, findings and finer resolution; `periodic`:
+                 spectra of whole periods of a multisine
     spectra      `spa`, `SpectralStream`, `corrected`: Blackman-Tukey spectra of a record
-    periodic     `periodic`: spectra of whole periods of a multisine
     impedance    `impedance`: Z with its uncertainty
     findings     `examine`: defects and anomalies of a record
     resolved     `resolved`, `low_line`: lines narrower than the window, from the whole record
@@ -15,12 +15,12 @@ measured at the probe unless stated otherwise. For scripts:
     alignment    `align`: a record of another system aligned with the daemon's
     ledger       `book`: the work that each cause does on the device
     delivered    `estimate`: the active damping that a board delivers
-    passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
-    envelope     `of_one`, `merged`: the Z-width envelope and its owners
+    passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M;
+                 `of_one`, `merged`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: comparison of displays
     search       `Search`, `next_trials`, `ModelPrior`: the directed search
 
-The other modules serve these: `covariances`, `kernels`, `compiled`, `batch_spectra` and `batch_fft`
+The other modules serve these: `covariances`, `compiled`, `batch_spectra` and `batch_fft`
 (loops over records), `matching` (one signal in another), `channels` (faults of the measuring
 channels), `surrogate` (the Gaussian process of the search).
 """

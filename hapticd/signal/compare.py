@@ -29,8 +29,7 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.envelope import Edge, Envelope
-from hapticd.signal.passive_set import PassiveSet
+from hapticd.signal.passive_set import Edge, Envelope, PassiveSet
 
 __all__ = [
     "EnvelopeConditions",

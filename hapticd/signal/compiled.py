@@ -1,4 +1,4 @@
-"""The loops of `kernels` in numba. Only `kernels` imports it, and only if numba is installed.
+"""The loops of `covariances` in numba. Only that imports it, and only if numba is installed.
 
 Spectral sums take one pass each, without temporaries. All loops release the interpreter lock, so
 trials may run on threads. Sums are reassociated for vector registers: results agree with numpy's to
@@ -29,7 +29,7 @@ import numba
 import numpy as np
 
 from hapticd.core.arrays import Integers
-from hapticd.signal.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
+from hapticd.signal.covariances import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
 # LLVM optimisations allowed in sums; NaN and infinity keep their meaning
 _SUMS = {"contract", "reassoc", "nsz"}

@@ -49,7 +49,7 @@ effects add power to it, and Z = Phi_yu / Phi_u shrinks:
 
 Applying both once more shows their effect (twicing, Tukey 1977); this is a product with the
 covariances. The phase is pulled towards 0 as well, which can hide a little activity. A longer
-window cures the first, a longer record the second, whole periods (`periodic`) both. "h_force" does
+window cures the first, a longer record the second, whole periods (`assess`) both. "h_force" does
 not use Phi_u, the affected spectrum.
 
 The energy (`energy`) is the definition of passivity: E(t), the integral of F v, is never less than

@@ -63,7 +63,7 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
-from hapticd.signal.covariances import detrended, same_length
+from hapticd.signal.covariances import TERMS, TINY, Fit, Transforms, detrended, kernels, same_length
 from hapticd.signal.findings import (
     LINE_WIDTH,
     SMALL_LINE,
@@ -73,7 +73,6 @@ from hapticd.signal.findings import (
     line_of,
 )
 from hapticd.signal.impedance import Estimator, impedance
-from hapticd.signal.kernels import TERMS, TINY, Fit, Transforms, kernels
 from hapticd.signal.spectra import Spectra
 
 __all__ = ["hinted", "low_line", "resolved"]

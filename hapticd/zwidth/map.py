@@ -27,8 +27,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import Prediction
-from hapticd.signal.envelope import Envelope
-from hapticd.signal.passive_set import PassiveSet, ascending, grid, passive_set
+from hapticd.signal.passive_set import Envelope, PassiveSet, ascending, grid, passive_set
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (

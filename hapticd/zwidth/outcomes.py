@@ -41,9 +41,9 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import coulomb
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
-from hapticd.signal.envelope import Envelope, accepted, merged, of_one
 from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
+from hapticd.signal.passive_set import Envelope, accepted, merged, of_one
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
 from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, NOTHING_JUDGED, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate

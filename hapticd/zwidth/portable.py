@@ -35,8 +35,7 @@ from hapticd.signal.compare import (
     stiffness_rate,
     zero_mass_bandwidth_hz,
 )
-from hapticd.signal.envelope import Edge, Envelope
-from hapticd.signal.passive_set import AXES
+from hapticd.signal.passive_set import AXES, Edge, Envelope
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap

@@ -15,7 +15,7 @@ kHz).
 
 For a device without friction 2 s of it determine Z better than 90 s of noise. Friction distorts, in
 the same way in every period. Only more realisations average the distortion and show its size
-(`signal.periodic`).
+(`signal.assess`).
 
 The record holds the realisations one after the other, each from rest and with its settling period.
 A realisation whose force did not repeat, because a stalled host let the board run out of samples,
@@ -44,10 +44,18 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import coulomb, predicted_impedance
 from hapticd.model.scene import Excitation, Scene
-from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
+from hapticd.signal.assess import (
+    CHANGING,
+    Criteria,
+    LoopModel,
+    MeasuredTrial,
+    PeriodicSpectra,
+    assess,
+    changing,
+    periodic,
+)
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import Impedance
-from hapticd.signal.periodic import CHANGING, PeriodicSpectra, changing, periodic
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.signal.verdict import LEAST_FREEDOM, Verdict
 from hapticd.zwidth.recorded import read_file

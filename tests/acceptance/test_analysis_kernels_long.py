@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.analysis_kernels import ALL, fitted, record
 
-from hapticd.signal import kernels as kernel_module
-from hapticd.signal.kernels import local_fits
+from hapticd.signal import covariances as kernel_module
+from hapticd.signal.covariances import local_fits
 
 
 @pytest.mark.parametrize("shifts", [ALL, ALL[:1], ALL[:0]], ids=["3 images", "1 image", "none"])

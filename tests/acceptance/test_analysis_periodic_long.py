@@ -18,8 +18,8 @@ from support.analysis_periodic import (
 )
 from support.spectral_trials import mass_damper
 
+from hapticd.signal.assess import periodic, periodic_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.periodic import periodic, periodic_findings
 from hapticd.signal.verdict import judge
 
 

@@ -22,9 +22,8 @@ from hapticd.signal.compare import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.signal.envelope import admittance
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import grid, passive_set
+from hapticd.signal.passive_set import admittance, grid, passive_set
 from hapticd.signal.verdict import judge
 
 

@@ -23,9 +23,9 @@ from hapticd.model.effects import AntiAlias, Encoder
 from hapticd.model.excitation import torque_record
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
+from hapticd.signal.assess import periodic
 from hapticd.signal.channels import channel_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.periodic import periodic
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge, student_quantile
 from hapticd.zwidth.engine.batch import simulate

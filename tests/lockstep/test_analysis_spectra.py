@@ -12,7 +12,7 @@ from support.octave.run import GOLDEN, record, spa_by_octave
 
 from hapticd.core.errors import AnalysisError
 from hapticd.signal import covariances
-from hapticd.signal import kernels as kernel_module
+from hapticd.signal import covariances as kernel_module
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import SpectralStream, corrected
 from hapticd.signal.spectra import spa as estimate

@@ -8,8 +8,8 @@ import pytest
 from support.spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.assess import periodic
 from hapticd.signal.covariances import Covariances
-from hapticd.signal.periodic import periodic
 from hapticd.signal.spectra import SpectralStream, corrected, spa, spectra
 from hapticd.signal.verdict import coherence_inside, half_width, judge
 

@@ -10,8 +10,8 @@ import pytest
 from support.tree import TESTS
 
 from hapticd.model.theorem import PAPER_FILTERS, required_damping
+from hapticd.signal.assess import periodic
 from hapticd.signal.impedance import impedance
-from hapticd.signal.periodic import periodic
 
 ORACLES: dict[str, Any] = json.loads(
     (TESTS / "support" / "data" / "foreign_oracles.json").read_text()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hapticd.signal.kernels import Fit, Transforms
+from hapticd.signal.covariances import Fit, Transforms
 
 SAMPLES = 4096
 HALF = 20

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from functools import reduce
 from typing import NamedTuple
 
-from hapticd.signal.envelope import Envelope, accepted, merged, of_one
 from hapticd.signal.impedance import Impedance
+from hapticd.signal.passive_set import Envelope, accepted, merged, of_one
 from hapticd.signal.verdict import Verdict
 
 

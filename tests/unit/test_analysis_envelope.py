@@ -9,9 +9,9 @@ from support.envelopes import EnvelopeTrial, envelope, of_trial
 from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.envelope import accepted, admittance, merged
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance
+from hapticd.signal.passive_set import accepted, admittance, merged
 from hapticd.signal.verdict import LOST_EDGE, judge
 
 

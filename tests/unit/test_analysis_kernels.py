@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.analysis_kernels import ALL, HALF, PLACES, SAMPLES, fitted, record
 
-from hapticd.signal import kernels as kernel_module
-from hapticd.signal.kernels import TERMS, Transforms
+from hapticd.signal import covariances as kernel_module
+from hapticd.signal.covariances import TERMS, Transforms
 
 
 def columns_about(place: int, whole: Transforms):

@@ -11,8 +11,7 @@ import numpy as np
 
 from hapticd.core.errors import AnalysisError
 from hapticd.signal.compare import widths_db
-from hapticd.signal.envelope import Envelope
-from hapticd.signal.passive_set import AXES
+from hapticd.signal.passive_set import AXES, Envelope
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 from hapticd.zwidth.report.envelope import edges

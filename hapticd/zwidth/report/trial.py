@@ -17,8 +17,8 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.recording.file import ReplayResult
+from hapticd.signal.assess import PeriodicSpectra
 from hapticd.signal.impedance import Impedance
-from hapticd.signal.periodic import PeriodicSpectra
 from hapticd.signal.verdict import half_width
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
