@@ -22,7 +22,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.signal.surrogate import Box, Observation
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 
 TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}

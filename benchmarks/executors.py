@@ -21,7 +21,7 @@ from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import TOGETHER, Conditions
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("executors")

@@ -25,7 +25,7 @@ from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("map_6384")

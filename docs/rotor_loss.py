@@ -32,7 +32,7 @@ from hapticd.signal.passive_set import accepted
 from hapticd.signal.verdict import judge
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
-from hapticd.zwidth.scenes import SATURATED, Display
+from hapticd.zwidth.sources import SATURATED, Display
 
 PAGE = Path(__file__).parent / "reproduction.md"
 PER_DECADE = 2  # elements: a ripple of 0.3 %

@@ -40,7 +40,7 @@ from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, predicted_limit  # noqa: E402
 from hapticd.zwidth.outcomes import Point  # noqa: E402
 from hapticd.zwidth.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402
-from hapticd.zwidth.scenes import display  # noqa: E402
+from hapticd.zwidth.sources import display  # noqa: E402
 
 PAGE = DOCS / "timing.md"
 FIGURE = DOCS / "figures" / "timing.svg"

@@ -27,7 +27,7 @@ from examples.trials.score import (  # noqa: E402
     score,
     score_table,
 )
-from hapticd.zwidth.report.table import shown  # noqa: E402
+from hapticd.zwidth.report.paper import shown  # noqa: E402
 
 PAGE = DOCS / "trials.md"
 PLACES = ("score", "score of 90 s")

@@ -18,7 +18,7 @@ from examples.trials.score import read_truth, read_verdicts, score, score_json, 
 from hapticd.cli.terminal import progress, talk
 from hapticd.core.errors import HapticdError
 from hapticd.core.extras import need
-from hapticd.zwidth.report.table import text
+from hapticd.zwidth.report.paper import text
 
 INTERRUPTED = 130
 SHORTEST_S, LONGEST_S = 8.0, 300.0

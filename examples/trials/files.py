@@ -30,7 +30,7 @@ from examples.trials.plan import SECONDS, TrialSpec, truth_json
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.scenes import SUBSTEPS
+from hapticd.zwidth.sources import SUBSTEPS
 from hapticd.zwidth.store import Progress, Steps, silent
 
 __all__ = ["FORCE", "METADATA", "TRUTH", "VELOCITY", "make", "recorded", "write_trial"]

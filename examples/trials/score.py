@@ -25,7 +25,7 @@ from typing import Any
 
 from hapticd.core.errors import ConfigError
 from hapticd.settings.toml import SETTINGS_BYTES, regular
-from hapticd.zwidth.report.table import Table, table
+from hapticd.zwidth.report.paper import Table, table
 
 __all__ = [
     "COLUMNS",

@@ -70,8 +70,8 @@ from hapticd.zwidth.outcomes import (
     outcomes_of,
     points_of,
 )
-from hapticd.zwidth.scenes import Display
 from hapticd.zwidth.search import SearchParams, SearchResult, observed, plan_search, run_search
+from hapticd.zwidth.sources import Display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = ["plan_future_work", "run_future_work"]

@@ -34,9 +34,9 @@ from examples.weir2008.rows import PaperRow, rows
 from examples.weir2008.run import ReproduceResult
 from examples.weir2008.table import as_json, markdown, notes, paper_table, readings_table
 from hapticd.core.errors import ConfigError
+from hapticd.zwidth.report.paper import Table, text
 from hapticd.zwidth.report.passive_set import walls_figure
 from hapticd.zwidth.report.style import Figure, save, styled
-from hapticd.zwidth.report.table import Table, text
 from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 __all__ = ["TABLE_JSON", "keep", "sections", "terminal"]

@@ -60,9 +60,8 @@ from hapticd.zwidth.limits import (
 )
 from hapticd.zwidth.map import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, Point, points_of
-from hapticd.zwidth.scenes import Display, noise
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.sources import Display, Trial, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls

@@ -13,7 +13,7 @@ from math import isfinite, nan
 from typing import Any
 
 from examples.weir2008.rows import PRINTED, PaperRow, by_quantity
-from hapticd.zwidth.report.table import Table, shown, table
+from hapticd.zwidth.report.paper import Table, shown, table
 from hapticd.zwidth.store import to_json
 
 __all__ = ["as_json"]

@@ -18,7 +18,7 @@ from hapticd.core.params import BoardParams
 from hapticd.model.effects import AmplifierLimits, Effect, Load
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.settings.build import board_of, device_effects
-from hapticd.zwidth.scenes import device_file
+from hapticd.zwidth.sources import device_file
 
 __all__ = ["LEVELS", "delivered"]
 

@@ -19,9 +19,9 @@ with deferred_imports():
     from hapticd.studies import port_energy, report
     from hapticd.studies import remedies as remedy_studies
     from hapticd.studies import scene as scene_studies
-    from hapticd.zwidth import scenes as displays
+    from hapticd.zwidth import sources as displays
     from hapticd.zwidth import store
-    from hapticd.zwidth.report import table
+    from hapticd.zwidth.report import paper
 
 
 QUESTIONS = (
@@ -73,7 +73,7 @@ def sim_run(
     trials = [_trial_json(trial) for trial in result.trials]
     lines = [
         f"{plan.scene.title}: {plan.seconds:g} s, SIMULATED {plan.scene.device}\n",
-        table.text(report.scene_table(result)),
+        paper.text(report.scene_table(result)),
     ]
     for trial in result.trials:
         if trial.judged is not None:
@@ -113,7 +113,7 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     lines = [
         f"{_head(loaded)}, {size}",
-        *(f"\n{table.text(part)}" for part in report.explained(found)),
+        *(f"\n{paper.text(part)}" for part in report.explained(found)),
         "",
         *report.step_words(found, loaded, displays.SUBSTEPS),
         *report.cost_words(spent),
@@ -164,7 +164,7 @@ def sim_effects(
         **store.to_json(result, skip=("plan",)),
         "figures": paths,
     }
-    effects = table.text(report.effects_table(result))
+    effects = paper.text(report.effects_table(result))
     terminal.show(found, [f"{_head(loaded)}\n\n{effects}\n", report.effects_words(result)], as_json)
 
 
@@ -187,7 +187,7 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     found = scene_studies.ceiling(loaded)
     lines = [f"{_head(loaded)}\n", *report.ceiling_words(found)]
     if found.warmer:
-        lines.append(f"\n{table.text(report.ceiling_table(found))}")
+        lines.append(f"\n{paper.text(report.ceiling_table(found))}")
     about = {"simulated": True, "scene": loaded.name, "unit": "N s/m"}
     terminal.show({**about, **store.to_json(found)}, lines, as_json)
 
@@ -230,7 +230,7 @@ def accuracy(
         "integrators": store.to_json(explicit),
         "figures": paths,
     }
-    measured = table.text(report.accuracy_table(result))
+    measured = paper.text(report.accuracy_table(result))
     lines = [f"{_head(loaded)}\n\n{measured}\n", *report.accuracy_words(result)]
     terminal.show(found, lines, as_json)
 
@@ -277,5 +277,5 @@ def remedies(
     found |= {"rows": store.to_json(rows), "energy": store.to_json(energies)}
     common.write_summary(folder, {"kind": "remedies", **found})
     tables = report.remedies_table(rows), report.port_energy_table(energies)
-    lines = [*map(table.text, tables), REMEDIES_NOTE]
+    lines = [*map(paper.text, tables), REMEDIES_NOTE]
     common.show_result(found, lines, folder, (), as_json)

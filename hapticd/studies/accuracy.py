@@ -53,8 +53,8 @@ from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
-from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
-from hapticd.zwidth.scenes import (
+from hapticd.zwidth.simulated import LockStepTrial, pooled, run_lockstep, spectra_of, spectra_on
+from hapticd.zwidth.sources import (
     SUBSTEPS,
     candidates,
     display,
@@ -63,7 +63,6 @@ from hapticd.zwidth.scenes import (
     level,
     without,
 )
-from hapticd.zwidth.simulated import pooled, spectra_of, spectra_on
 from hapticd.zwidth.store import Progress, Steps, silent
 
 __all__ = ["cost", "plan_accuracy", "run_accuracy"]

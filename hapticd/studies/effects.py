@@ -40,7 +40,8 @@ from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.scenes import (
+from hapticd.zwidth.simulated import pooled, spectra_of
+from hapticd.zwidth.sources import (
     candidates,
     display,
     free_of_walls,
@@ -49,7 +50,6 @@ from hapticd.zwidth.scenes import (
     noise,
     without,
 )
-from hapticd.zwidth.simulated import pooled, spectra_of
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = ["EffectsParams", "plan_effects", "run_effects"]

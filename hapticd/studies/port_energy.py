@@ -42,7 +42,7 @@ from hapticd.render.parts import (
 )
 from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.scenes import NOISE, SUBSTEPS, display, free_of_walls, level, noise
+from hapticd.zwidth.sources import NOISE, SUBSTEPS, display, free_of_walls, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent
 
 __all__ = ["GIVEN_J", "SECONDS", "EnergyRow", "run_port_energy"]

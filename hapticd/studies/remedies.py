@@ -44,7 +44,7 @@ from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import DampingStep, Scene
 from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, volume
 from hapticd.zwidth import limits, outcomes
-from hapticd.zwidth.scenes import display, level, noise
+from hapticd.zwidth.sources import display, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = [

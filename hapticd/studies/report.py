@@ -26,7 +26,7 @@ from hapticd.studies.effects import EffectsResult, LeftOut
 from hapticd.studies.port_energy import SECONDS, EnergyRow
 from hapticd.studies.remedies import RENDERED_HZ, Row
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
-from hapticd.zwidth.report.paper import legends
+from hapticd.zwidth.report.paper import Cell, Table, changed, duration, legends, shown, table
 from hapticd.zwidth.report.style import (
     BLACK,
     BLUE,
@@ -53,9 +53,8 @@ from hapticd.zwidth.report.style import (
     size_in,
     styled,
 )  # fmt: skip
-from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, table
 from hapticd.zwidth.report.trial import Trace, draw, draw_traces, dress
-from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies
+from hapticd.zwidth.sources import SUBSTEPS, candidates, frequencies
 
 __all__ = [
     "accuracy_figure",

@@ -52,9 +52,8 @@ from hapticd.model.scene import Scene
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.scenes import SUBSTEPS, level
 from hapticd.zwidth.simulated import simulated
-from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.sources import SUBSTEPS, Trial, level
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 

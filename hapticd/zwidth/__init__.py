@@ -1,7 +1,7 @@
 """The bench: trials, and the procedures that run many of them. Nothing here prints.
 
 `trial` plans, runs, judges and stores one trial. Its record comes from a source: the batch engine
-(`simulated`), a running daemon (`live`), the whole product on virtual time (`lockstep`) or a file
+or the whole product on virtual time (`simulated`), a running daemon (`live`) or a file
 (`recorded`). Procedures with many trials are `limits` along an axis, the `map` of a grid, the
 `search` with few trials and impacts on `walls`. All use `outcomes`, which runs, judges and stores
 batches of simulated trials.
@@ -14,13 +14,13 @@ Importing the package imports nothing else; a script imports the modules that it
     map         plan_map, run_map                  the passive set on a grid
     search      plan_search, run_search            the same with few trials
     walls       plan_walls, run_walls              impacts on virtual walls (the paper's Fig. 2)
-    simulated, live, lockstep, sources             sources of a trial's record
+    simulated, live, sources  sources of a trial's record
     recorded    read_file                          the record in a file of any program
-    portable    portable, compare                  NAME.zwidth files, and comparison of displays
-    interchange                                    Z(f) for the tools of control engineering
+    portable    portable, compare                  NAME.zwidth files, and comparison of displays;
+                Z(f) for the tools of control engineering
 
-The other modules serve these: `watch` (ends a trial early), `aligned`, `hapticd_files` and
-`timestamps` (records of files), `scenes` (properties of a scene for procedures), `stepped_sine` (an
-independent measurement of an impedance), `store` (stored results), `executors` (threads, processes,
-clusters). Below them is `engine`, which simulates, above them `report`, which draws.
+The other modules serve these: `watch` (ends a trial early), `aligned` and `timestamps`
+(records of files), `store` (stored results), `executors` (threads, processes, clusters). `sources`
+also has the properties of a scene for procedures, and the stepped sine, an independent measurement
+of an impedance. Below them is `engine`, which simulates, above them `report`, which draws.
 """

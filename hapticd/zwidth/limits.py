@@ -42,7 +42,7 @@ from hapticd.zwidth.outcomes import (
     points_of,
     run_all,
 )
-from hapticd.zwidth.scenes import Display
+from hapticd.zwidth.sources import Display
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
 __all__ = [

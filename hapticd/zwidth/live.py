@@ -1,6 +1,6 @@
 """A trial on the device of a daemon: enable, set, perturb, record at 4 kHz, force off.
 
-The daemon may be the real one or the same stack on virtual time (`lockstep`); the client is the
+The daemon may be the real one or the same stack on virtual time (`simulated`); the client is the
 same. The trial begins disabled and ends disabled, and never takes over another client's session. It
 holds the measuring lease meanwhile. No other client can then change anything, and neither the guard
 nor the energy faults end a trial at the edge of stability; the monitor does. Both are restored when

@@ -49,7 +49,7 @@ from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, NOTHING_JUDGED, Jud
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
-from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 from hapticd.zwidth.watch import SATURATED_SHARE
 

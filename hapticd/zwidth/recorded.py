@@ -34,7 +34,6 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.pack import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.toml import SAMPLES_BYTES, regular
-from hapticd.zwidth.hapticd_files import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,
     MARK_SAMPLE,
@@ -48,7 +47,15 @@ from hapticd.zwidth.store import (
     read_summary,
     record_path,
 )
-from hapticd.zwidth.timestamps import SLOWEST_HZ, Sampling, counted, sampling, unwrapped
+from hapticd.zwidth.timestamps import (
+    SLOWEST_HZ,
+    Sampling,
+    counted,
+    of_recording,
+    of_remark,
+    sampling,
+    unwrapped,
+)
 from hapticd.zwidth.watch import COUNTS, in_even_time
 
 __all__ = ["read_file"]
@@ -91,7 +98,7 @@ def read_file(
 ) -> TrialRecord:
     """Return the record in `path`, or in the run folder `path`. `force`, `velocity`: names of its
     columns if they are not the usual ones; `counter`: the column that numbers its samples. Files of
-    this package (`hapticd_files`) need none of them.
+    this package (`timestamps`) need none of them.
 
     `rate_hz`: required if the file has no rate, otherwise equal to it. ConfigError for a missing
     file, one of an unknown kind, or one with other content than numbers; AnalysisError for one

@@ -57,7 +57,7 @@ from hapticd.zwidth.outcomes import (
     points_of,
     run_all,
 )
-from hapticd.zwidth.scenes import SATURATED
+from hapticd.zwidth.sources import SATURATED
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
 __all__ = ["SearchParams", "SearchResult", "observed", "plan_search", "run_search"]

@@ -59,9 +59,7 @@ from hapticd.signal.impedance import Impedance
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.signal.verdict import LEAST_FREEDOM, Verdict
 from hapticd.zwidth.recorded import read_file
-from hapticd.zwidth.scenes import Display, display
-from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.sources import Display, ReferenceSines, Source, Trial, display
 from hapticd.zwidth.store import (
     IMPEDANCE,
     EndReason,

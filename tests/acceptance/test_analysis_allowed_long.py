@@ -10,7 +10,7 @@ from hapticd.model.theorem import (
     lifted_system,
     outside_circles,
 )
-from hapticd.zwidth.scenes import device_scene
+from hapticd.zwidth.sources import device_scene
 
 
 @pytest.mark.parametrize("level", [0.0, 1.74])

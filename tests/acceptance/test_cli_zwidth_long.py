@@ -252,7 +252,7 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     from hapticd.cli.zwidth import map as verb
     from hapticd.settings.scene import load_scene
     from hapticd.zwidth.outcomes import Conditions, run_trials
-    from hapticd.zwidth.scenes import noise
+    from hapticd.zwidth.sources import noise
     from hapticd.zwidth.store import write_run
 
     scene = load_scene("theory")

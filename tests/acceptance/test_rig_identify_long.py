@@ -19,7 +19,7 @@ from hapticd.rig.steps.identify import measure
 from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings import build
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.scenes import device_scene, display
+from hapticd.zwidth.sources import device_scene, display
 
 DEVICES = ROOT / "config" / "devices"
 

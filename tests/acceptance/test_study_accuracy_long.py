@@ -19,7 +19,7 @@ from hapticd.studies.accuracy import (
     plan_accuracy,
     run_accuracy,
 )
-from hapticd.zwidth.scenes import frequencies, without
+from hapticd.zwidth.sources import frequencies, without
 
 # --- a linear scene, exactly known ----------------------------------------------------------------
 

@@ -12,9 +12,8 @@ from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.sources import Trial, noise
 from hapticd.zwidth.store import TrialStore
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 

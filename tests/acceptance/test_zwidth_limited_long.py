@@ -8,9 +8,8 @@ import pytest
 from hapticd.cli.app import main
 from hapticd.model.effects import AmplifierLimits
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.scenes import device_scene
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.sources import Trial, device_scene
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial, summary
 
 POINT = (50.0, 1.0, 0.0)

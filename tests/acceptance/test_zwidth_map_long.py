@@ -22,8 +22,8 @@ from hapticd.zwidth.outcomes import (
     restored,
     run_trials,
 )
-from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.search import SearchParams, plan_search, rounded, run_search, slice_at
+from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 

@@ -15,8 +15,7 @@ from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.stepped_sine import stepped_sine
+from hapticd.zwidth.sources import Trial, stepped_sine
 from hapticd.zwidth.store import (
     EndReason,
 )

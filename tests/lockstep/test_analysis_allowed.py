@@ -27,7 +27,7 @@ from hapticd.model.theorem import (
     outside_circles,
     required_damping,
 )
-from hapticd.zwidth.scenes import device_scene
+from hapticd.zwidth.sources import device_scene
 
 T_S = 1e-3
 

@@ -13,7 +13,7 @@ from hapticd.run import supervisor
 from hapticd.settings.load import Override, load
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.scenes import display
+from hapticd.zwidth.sources import display
 
 
 def resolved(device: str) -> dict[str, dict]:

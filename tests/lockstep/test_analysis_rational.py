@@ -17,7 +17,7 @@ from hapticd.model.coupled import coupled_radius
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import circles, lifted_system, open_loop, outside_circles
-from hapticd.zwidth.scenes import device_scene
+from hapticd.zwidth.sources import device_scene
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.0005, 1.54, 0.25)
 SHARP = (FilterParams(8.6, 0.3), FilterParams(25.0))

@@ -12,7 +12,7 @@ from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.scenes import display
+from hapticd.zwidth.sources import display
 
 BAND = (2.0, 500.0)
 REFUSED = ["-K", "-34", "-B", "-0.86", "-M", "0.0048", "--active-damping", "1.74"]

@@ -24,9 +24,7 @@ from hapticd.settings.toml import shipped
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance
 from hapticd.signal.verdict import judge, two_digits
-from hapticd.zwidth.scenes import device_scene, scene_of_device
-from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.sources import ReferenceSines, Trial, device_scene, scene_of_device
 from hapticd.zwidth.trial import MultisineLayout, TrialParams
 
 

@@ -7,7 +7,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies, run_trials
 from hapticd.zwidth.report.envelope import envelope_figure, weightiest
 from hapticd.zwidth.report.style import OFF, PARTS, PREDICTED
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 
 pytest.importorskip("matplotlib")
 

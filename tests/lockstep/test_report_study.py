@@ -30,7 +30,7 @@ from hapticd.studies.report import (
 )
 from hapticd.studies.scene import SceneResult, compare_integrators, plan_scene, run_scene
 from hapticd.zwidth.report import style
-from hapticd.zwidth.report.table import text
+from hapticd.zwidth.report.paper import text
 
 
 @pytest.fixture(scope="module")

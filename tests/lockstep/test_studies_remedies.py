@@ -27,7 +27,7 @@ from hapticd.studies.remedies import (
 )
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.limits import predicted_limit
-from hapticd.zwidth.scenes import display
+from hapticd.zwidth.sources import display
 from hapticd.zwidth.store import TrialStore
 
 PHYSICAL_NS_PER_M = 1.0  # of the scene `theory`

@@ -26,7 +26,7 @@ from hapticd.studies.effects import (
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.scenes import frequencies, without
+from hapticd.zwidth.sources import frequencies, without
 
 AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
 

@@ -12,8 +12,7 @@ from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
+from hapticd.zwidth.sources import Trial, may_follow, stepped_sine
 from hapticd.zwidth.store import EndReason, TrialEnd, TrialRecord
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 

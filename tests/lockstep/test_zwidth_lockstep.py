@@ -7,9 +7,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import phase_rms
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.lockstep import MOST_S, run_lockstep
-from hapticd.zwidth.scenes import frequencies
-from hapticd.zwidth.simulated import spectra_on
+from hapticd.zwidth.simulated import MOST_S, run_lockstep, spectra_on
+from hapticd.zwidth.sources import frequencies
 
 
 def test_trial_plays_the_forces_it_was_given() -> None:

@@ -18,10 +18,8 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
-from hapticd.zwidth.scenes import device_scene
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial, file_source
-from hapticd.zwidth.stepped_sine import stepped_sine
+from hapticd.zwidth.sources import Trial, device_scene, file_source, stepped_sine
 from hapticd.zwidth.store import (
     EndReason,
     TrialEnd,

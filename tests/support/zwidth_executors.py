@@ -14,7 +14,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth import executors
 from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore, to_json
 
 SCENE = load_scene("fig7")  # with friction, which affects the last bit

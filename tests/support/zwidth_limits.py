@@ -5,7 +5,7 @@ from typing import Any
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits
 from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 THEORY = load_scene("theory")

@@ -6,7 +6,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.outcomes import (
     Conditions,
 )
-from hapticd.zwidth.scenes import noise
+from hapticd.zwidth.sources import noise
 
 THEORY = load_scene(
     "theory"

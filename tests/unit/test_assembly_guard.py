@@ -18,7 +18,7 @@ from hapticd.guard.judge import Judge
 from hapticd.guard.main import answered
 from hapticd.model.compose import compose
 from hapticd.model.loop import spectral_radius
-from hapticd.zwidth.scenes import device_scene
+from hapticd.zwidth.sources import device_scene
 
 
 def test_setup_survives_json_to_the_last_bit() -> None:

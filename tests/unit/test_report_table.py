@@ -6,7 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hapticd.zwidth.report.table import changed, duration, shown, table, text
+from hapticd.zwidth.report.paper import changed, duration, shown, table, text
 from hapticd.zwidth.store import to_json
 
 

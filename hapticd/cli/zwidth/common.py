@@ -27,7 +27,7 @@ with deferred_imports():
     from hapticd.settings import device as device_files
     from hapticd.settings import scene as scene_files
     from hapticd.settings import toml
-    from hapticd.zwidth import outcomes, scenes, sources, store
+    from hapticd.zwidth import outcomes, sources, store
     from hapticd.zwidth.report import style
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def scene_of(name: str) -> "model_scene.Scene":
     try:
         return scene_files.load_scene(name)
     except ConfigError as error:
-        found = scenes.device_scene(str(Path(name).resolve()) if name.endswith(".toml") else name)
+        found = sources.device_scene(str(Path(name).resolve()) if name.endswith(".toml") else name)
         if found is None:
             raise error
         return found
@@ -212,10 +212,10 @@ def device_of(name: str) -> "device_files.DeviceFile":
     try:
         return scene_files.load_files(name).device
     except ConfigError:
-        return scenes.device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
+        return sources.device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
 
 
-def require_within(name: str, shown: "scenes.Display", asked: dict[str, float]) -> None:
+def require_within(name: str, shown: "sources.Display", asked: dict[str, float]) -> None:
     """Raise BadParameter for values that a daemon would refuse to render on this device."""
     own = device_of(name)
     ceiling = own.limits.active_damping_ns_per_m
@@ -236,7 +236,7 @@ def conditions(
     confidence: float = 0.95,
 ) -> "outcomes.Conditions":
     """Return the conditions of many trials: the scene's noise with that seed."""
-    noise = replace(scenes.noise(scene), seed=seed)
+    noise = replace(sources.noise(scene), seed=seed)
     return outcomes.Conditions(scene, seconds, noise, band_hz, confidence)
 
 

@@ -13,8 +13,8 @@ from hapticd.cli.zwidth import common
 with deferred_imports():
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, store
+    from hapticd.zwidth.report import paper
     from hapticd.zwidth.report import passive_set as figures
-    from hapticd.zwidth.report import table
 
 
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
@@ -99,17 +99,17 @@ def command(
     figure = partial(figures.limits_figure, result, results.figure_width)
     paths = common.drawn(folder, "limits", figure, results.plot)
     judged = "; ".join(sorted({limit.judged.words for limit in result.limits}))
-    lines = [table.text(_table(result)), NOTE, judged, f"{result.made} trials made"]
+    lines = [paper.text(_table(result)), NOTE, judged, f"{result.made} trials made"]
     common.show_result({"made": result.made, "limits": rows}, lines, folder, paths, results.as_json)
 
 
-def _table(result: "limits.LimitsResult") -> "table.Table":
+def _table(result: "limits.LimitsResult") -> "paper.Table":
     params = result.plan.params
     scattered = params.seeds > 1
     rows = [_row(limit, scattered) for limit in result.limits]
     device = params.conditions.scene.device
     title = f"SIMULATED {device}: axis limits, the other two being 0"
-    return table.table((*COLUMNS, "scatter") if scattered else COLUMNS, rows, title)
+    return paper.table((*COLUMNS, "scatter") if scattered else COLUMNS, rows, title)
 
 
 def _row(limit: "limits.AxisLimit", scattered: bool) -> tuple[str | float, ...]:

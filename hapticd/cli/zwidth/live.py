@@ -17,7 +17,7 @@ from hapticd.core.units import US_PER_S
 with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.model import scene as model_scene
-    from hapticd.zwidth import scenes, sources, watch
+    from hapticd.zwidth import sources, watch
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     client = stack.enter_context(change.connect(instance))
     servo = client.hello().servo
     name = servo.device.name
-    model = scenes.scene_of_device(name)
+    model = sources.scene_of_device(name)
     if model is not None:
         filtered = replace(
             model.environment,

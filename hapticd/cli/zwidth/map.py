@@ -19,7 +19,7 @@ with deferred_imports():
     from hapticd.signal import compare, passive_set
     from hapticd.zwidth import executors, outcomes, store
     from hapticd.zwidth import map as maps
-    from hapticd.zwidth.report import envelope, style, table
+    from hapticd.zwidth.report import envelope, paper, style
     from hapticd.zwidth.report import passive_set as figures
 
 
@@ -111,7 +111,7 @@ def command(
     with common.drawing(folder):
         paths = draw_map(result, folder, results.figure_width) if results.plot else []
     title = f"SIMULATED {conditions.scene.device}: the set on the grid"
-    rows = table.text(table.table(COLUMNS, [_row(level) for level in levels], title))
+    rows = paper.text(paper.table(COLUMNS, [_row(level) for level in levels], title))
     lines = [rows, result.judged.words, NOTE, f"{result.made} trials made"]
     found = {"made": result.made, "levels": store.to_json(levels)}
     common.show_result(found, lines, folder, paths, results.as_json)

@@ -13,7 +13,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, linearise, predict
-    from hapticd.zwidth import scenes, sources, store
+    from hapticd.zwidth import sources, store
 
 
 DEVICE_OF = "fig4"  # default of --scene
@@ -38,7 +38,7 @@ def command(
     fades as the motion grows. Where the theorem finds too little damping, the command builds and
     tries the passive hand that makes the display unstable. K < 0 is always refused.
     """
-    shown = scenes.display(common.scene_of(scene or DEVICE_OF))
+    shown = sources.display(common.scene_of(scene or DEVICE_OF))
     asked = sources.given(
         (stiffness, viscous, mass), active_damping, shown.scene if scene else None, bool(scene)
     )

@@ -21,12 +21,12 @@ with deferred_imports():
     from hapticd.model import scene as model_scene
     from hapticd.recording import provenance as certificate
     from hapticd.signal import verdict
-    from hapticd.zwidth import interchange, portable, scenes, simulated, sources, store
     from hapticd.zwidth import limits as axis_limits
     from hapticd.zwidth import map as maps
+    from hapticd.zwidth import portable, simulated, sources, store
     from hapticd.zwidth import trial as trials
     from hapticd.zwidth.report import comparison, passive_set, style
-    from hapticd.zwidth.report import table as tables
+    from hapticd.zwidth.report import paper as tables
 
 
 What = Annotated[
@@ -186,7 +186,9 @@ def _own_trial(
     scene: "model_scene.Scene", seconds: float, folder: Path, width_mm: float | None
 ) -> list[Path]:
     """Draw a trial of the environment that the scene itself describes."""
-    asked = sources.Trial(scene.environment.free, scenes.level(scene), seconds, scenes.noise(scene))
+    asked = sources.Trial(
+        scene.environment.free, sources.level(scene), seconds, sources.noise(scene)
+    )
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     return draw_trial(trials.run_trial(plan, simulated.engine_source(scene)), folder, width_mm)
 
@@ -286,5 +288,5 @@ def export(
     target = out or run / f"impedance-frd.{form}"
     if target.exists():
         raise ConfigError(f"{target} exists; name another file")
-    written = interchange.write_response(trials.kept_trial(run, kept, None), target, form)
+    written = portable.write_response(trials.kept_trial(run, kept, None), target, form)
     terminal.show({"files": [str(written)]}, [str(written)], as_json)

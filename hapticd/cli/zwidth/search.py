@@ -15,8 +15,8 @@ with deferred_imports():
 
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, search, store
+    from hapticd.zwidth.report import paper
     from hapticd.zwidth.report import passive_set as figures
-    from hapticd.zwidth.report import table
 
 
 COLUMNS = (
@@ -130,4 +130,4 @@ def _table(device: str, levels: list[dict[str, Any]]) -> str:
         for level in levels
     ]
     title = f"SIMULATED {device}: the set as the search holds it; extremes over the set"
-    return table.text(table.table(COLUMNS, rows, title))
+    return paper.text(paper.table(COLUMNS, rows, title))

@@ -29,19 +29,10 @@ with deferred_imports():
     from hapticd.run import lockstep
     from hapticd.signal import assess
     from hapticd.signal import verdict as verdicts
-    from hapticd.zwidth import (
-        aligned,
-        live,
-        scenes,
-        simulated,
-        sources,
-        stepped_sine,
-        store,
-        watch,
-    )
+    from hapticd.zwidth import aligned, live, simulated, sources, store, watch
     from hapticd.zwidth import recorded as record_files
     from hapticd.zwidth import trial as trials
-    from hapticd.zwidth.report import style, table
+    from hapticd.zwidth.report import paper, style
     from hapticd.zwidth.report import trial as figures
 
 
@@ -270,8 +261,8 @@ def _tried(
             source = sources.file_source(recorded) if recorded else _simulated(asked, shown, stack)
         tell = stack.enter_context(progress())
         result = _judged(plan, source, recorded, tell)
-        wanted = asked.sine and stepped_sine.may_follow(result.recorded)
-        sines = stepped_sine.stepped_sine(plan.params.trial, source, tell) if wanted else None
+        wanted = asked.sine and sources.may_follow(result.recorded)
+        sines = sources.stepped_sine(plan.params.trial, source, tell) if wanted else None
     _show(result, sines, results)
     ended = result.recorded.ended
     stopped = (store.EndReason.FAULT, store.EndReason.STOPPED)
@@ -339,7 +330,7 @@ def _excitation(
     asked: TrialOptions, scene: "model_scene.Scene | None", layout: "trials.MultisineLayout | None"
 ) -> "model_scene.Excitation":
     """Return the scene's noise with the requested seed and density, or equivalent multisines."""
-    noise = scenes.noise(scene) if scene else sources.Trial().excitation
+    noise = sources.noise(scene) if scene else sources.Trial().excitation
     noise = replace(noise, seed=asked.seed)
     if asked.psd is not None:
         noise = replace(noise, psd_n2_per_hz=asked.psd)
@@ -384,7 +375,7 @@ def _refuse_beyond(name: str, scene: "model_scene.Scene", trial: "sources.Trial"
     """Refuse values that a daemon on that scene's device would refuse, as in a live trial."""
     values = dict(zip("KBM", trial.environment, strict=True))
     level = {"active_damping": trial.active_damping_ns_per_m}
-    common.require_within(name, scenes.display(scene), values | level)
+    common.require_within(name, sources.display(scene), values | level)
     live.allowed_waveform(trial, common.device_of(name).limits.probe_n)
 
 
@@ -403,7 +394,7 @@ def _simulated(
 
 def _show(
     result: "trials.TrialResult",
-    sines: "stepped_sine.ReferenceSines | None",
+    sines: "sources.ReferenceSines | None",
     results: TrialResultOptions,
 ) -> None:
     folder = common.folder(results.out, "trial")
@@ -472,7 +463,7 @@ def needed(result: "trials.TrialResult") -> str:
     return f"some {count} realisations would decide{remedy}"
 
 
-def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines") -> str:
+def compared(result: "trials.TrialResult", sines: "sources.ReferenceSines") -> str:
     """Compare sines and noise, in a line for each frequency of `sines`."""
     rows = []
     moved_mm_per_s = 1e3 * sines.velocity_rms_m_per_s
@@ -493,7 +484,7 @@ def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines")
     )
     title = f"stepped sine of {sines.force_n:g} N rms, added to the noise"
     known_mm_per_s = moved_mm_per_s[np.isfinite(moved_mm_per_s)].tolist()
-    return f"{table.text(table.table(columns, rows, title))}\n{_amplitudes(result, known_mm_per_s)}"
+    return f"{paper.text(paper.table(columns, rows, title))}\n{_amplitudes(result, known_mm_per_s)}"
 
 
 def _amplitudes(result: "trials.TrialResult", sines_mm_per_s: list[float]) -> str:
@@ -513,7 +504,7 @@ def draw_trial(
     result: "trials.TrialResult",
     folder: Path,
     width_mm: float | None,
-    sines: "stepped_sine.ReferenceSines | None" = None,
+    sines: "sources.ReferenceSines | None" = None,
 ) -> list[Path]:
     """Draw the figures of the trial and of its admittance in `folder`; return the files."""
     impedance = figures.trial_figure(result, sines, width_mm=width_mm)

@@ -15,7 +15,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.zwidth import store, walls
-    from hapticd.zwidth.report import passive_set, table
+    from hapticd.zwidth.report import paper, passive_set
 
 
 Stiffness = Annotated[
@@ -70,7 +70,7 @@ def command(
     figure = partial(passive_set.walls_figure, result, width_mm=figure_width)
     paths = common.drawn(folder, "walls", figure, plot)
     found = {"lines": store.to_json(result.lines)}
-    common.show_result(found, [table.text(_table(result, dampings))], folder, paths, as_json)
+    common.show_result(found, [paper.text(_table(result, dampings))], folder, paths, as_json)
 
 
 def _grid(
@@ -86,7 +86,7 @@ def _grid(
     return tuple(np.geomspace(low, high, count).tolist()), tuple(dampings.tolist())
 
 
-def _table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "table.Table":
+def _table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "paper.Table":
     """Return a row for each damping of the wall, a column for each level of active damping."""
     params = result.plan.params
     rows: list[tuple[str | float, ...]] = []
@@ -97,4 +97,4 @@ def _table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "table.Ta
         )
     columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in params.levels))
     title = f"SIMULATED {params.scene.device}: stiffest stable wall, by active damping"
-    return table.table(columns, rows, title)
+    return paper.table(columns, rows, title)

@@ -47,7 +47,7 @@ from hapticd.zwidth.engine.job import (
     prepared,
     shared_torque,
 )
-from hapticd.zwidth.engine.numbers import Filters
+from hapticd.zwidth.engine.kernels import Filters
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
 
 __all__ = ["BatchResult", "simulate"]

@@ -42,7 +42,7 @@ spring or a filter changes the force within the sub-step.
 
 Forces on the rotor that are not linear (ROTOR_LAWS). A law writes lines that leave a force [N] in
 the variable `force`, from the names of a position [m], a velocity [m/s] and of its numbers,
-`number(0)` and so on. `numbers` makes these of the parameters of the effect, before the kernel
+`number(0)` and so on. `kernels` makes these of the parameters of the effect, before the kernel
 runs, so that no lane divides. The lines become vector instructions: no branch and no loop, only
 conditional expressions; constants are T(...), in the precision of the kernel.
 

@@ -15,7 +15,7 @@ from hapticd.signal.passive_set import AXES, Envelope
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 from hapticd.zwidth.report.envelope import edges
-from hapticd.zwidth.report.paper import legends
+from hapticd.zwidth.report.paper import Cell, Table, legends, table
 from hapticd.zwidth.report.style import (
     DEVICES,
     FINE,
@@ -31,7 +31,6 @@ from hapticd.zwidth.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.zwidth.report.table import Cell, Table, table
 
 __all__ = ["comparison_figure", "comparison_tables"]
 

@@ -43,7 +43,7 @@ from hapticd.zwidth.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.sources import ReferenceSines
 from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialResult
 
