@@ -1,9 +1,8 @@
 """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
 
-from hapticd.gateway.addresses import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
 from hapticd.gateway.command_server import MOST_QUEUED
-from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
-from hapticd.gateway.zmtp import MOST_PARTS
+from hapticd.gateway.peers import MOST_PARTS, MOST_PEERS, QUEUED_BYTES
+from hapticd.gateway.server import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 from hapticd.protocol.journal import EVENTS
 from hapticd.protocol.limits import CommandLimits

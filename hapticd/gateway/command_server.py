@@ -21,8 +21,7 @@ from typing import Any
 
 from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
-from hapticd.gateway.lease_server import LeaseServer
-from hapticd.gateway.waveform import Waveform
+from hapticd.gateway.lease_server import LeaseServer, Waveform
 from hapticd.guard.pending import Outstanding, Pending, PendingChange, ends_force
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply

@@ -16,8 +16,7 @@ import numpy as np
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.tick_times import ENOUGH, TickTimes
-from hapticd.gateway.winding import compensation
+from hapticd.gateway.tick_times import ENOUGH, TickTimes, compensation
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched, values_of

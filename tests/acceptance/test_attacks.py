@@ -31,7 +31,7 @@ from support.firmware_board import FirmwareBoard
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import GatewayConnection
 from hapticd.core.errors import DaemonDown
-from hapticd.gateway import zmtp
+from hapticd.gateway import peers as zmtp
 from hapticd.gateway.command_server import CommandServer
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State

@@ -7,7 +7,7 @@ import pytest
 from support.gateway_rig import GatewayRig
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.gateway.addresses import MESSAGES_QUEUED
+from hapticd.gateway.server import MESSAGES_QUEUED
 
 
 @pytest.fixture

@@ -291,7 +291,7 @@ def test_taken_port_falls_back_to_a_free_one(tmp_path: Path) -> None:
 
 
 def test_other_instance_leaves_the_usual_port_alone() -> None:
-    from hapticd.gateway.addresses import port_for
+    from hapticd.gateway.server import port_for
 
     usual = setup(telemetry_port=9872).gateway
     assert (port_for(usual, "default"), port_for(usual, "other")) == (9872, 0)

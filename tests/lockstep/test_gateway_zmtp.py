@@ -4,7 +4,7 @@ import pytest
 from support.raw_peer import HELLO, PING, ready, short
 
 from hapticd.core.errors import WireError
-from hapticd.gateway.zmtp import GREETING, MOST_PARTS, Message, Session, message
+from hapticd.gateway.peers import GREETING, MOST_PARTS, Message, Session, message
 
 LONGEST = 1000
 

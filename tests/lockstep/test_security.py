@@ -39,12 +39,12 @@ def test_no_shell_reads_what_a_program_is_started_with() -> None:
 
 def test_gateway_has_a_network_address_for_telemetry_alone() -> None:
     """One place binds TCP, and it gives what it bound to telemetry or its relay."""
-    tree = ast.parse((PACKAGE / "gateway/addresses.py").read_text())
+    tree = ast.parse((PACKAGE / "gateway/server.py").read_text())
     binding = [place for place, node in calls("create_server") if place.startswith("gateway/")]
-    assert binding == ["gateway/addresses.py"]
+    assert binding == ["gateway/server.py"]
     # files; and, behind keys, the relay's line to itself and the listener it was handed
     bound = [place for place, _ in calls("bind") if place.startswith("gateway/")]
-    assert bound == ["gateway/addresses.py", "gateway/relay.py", "gateway/relay.py"]
+    assert bound == ["gateway/server.py", "gateway/relay.py", "gateway/relay.py"]
     users = [
         function
         for function in ast.walk(tree)

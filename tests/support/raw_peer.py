@@ -4,7 +4,7 @@ import contextlib
 import socket
 from typing import Self
 
-from hapticd.gateway.zmtp import GREETING
+from hapticd.gateway.peers import GREETING
 from support.gateway_rig import PATIENCE, GatewayRig
 
 # ZMTP 3.1, as libzmq greets

@@ -7,7 +7,7 @@ import pytest
 from support.gateway_stand_in import setup
 from support.winding_table import TABLE
 
-from hapticd.gateway.winding import compensation
+from hapticd.gateway.tick_times import compensation
 
 DEVICE = replace(setup().servo.device, resistance=TABLE, active_damping_limit_ns_per_m=4.0)
 COUNT = 8192  # of 32767, which add 0.8 ohm

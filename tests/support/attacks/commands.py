@@ -17,7 +17,7 @@ from typing import Any
 
 import msgpack
 
-from hapticd.gateway.zmtp import LONG, MORE, message
+from hapticd.gateway.peers import LONG, MORE, message
 from hapticd.mailbox.layout import Command, Value, value_limits
 from support.attacks.rows import Losses, Outcome
 from support.gateway_rig import GatewayRig

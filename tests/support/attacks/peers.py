@@ -22,7 +22,7 @@ from select import select
 
 import msgpack
 
-from hapticd.gateway.zmtp import GREETING, LONG, MORE
+from hapticd.gateway.peers import GREETING, LONG, MORE
 from hapticd.mailbox import files
 
 PATIENCE_S = 0.2  # for the kernel to accept or deliver data
