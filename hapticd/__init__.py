@@ -23,7 +23,7 @@ from hapticd.core.lazy import lazily
 if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
     from hapticd.client.client import Client
-    from hapticd.client.staircase import Staircase
+    from hapticd.client.design import Staircase
     from hapticd.core.errors import GuardWarning
     from hapticd.recording.file import open_recording
     from hapticd.run.virtual import virtual_board
@@ -48,7 +48,7 @@ __getattr__, __dir__ = lazily(
         "AsyncClient": "hapticd.client.aio",
         "Client": "hapticd.client.client",
         "GuardWarning": "hapticd.core.errors",
-        "Staircase": "hapticd.client.staircase",
+        "Staircase": "hapticd.client.design",
         "load_scene": "hapticd.settings.scene",
         "open_recording": "hapticd.recording.file",
         "virtual_board": "hapticd.run.virtual",

@@ -44,7 +44,7 @@ with deferred_imports():
     from rich import live as rich_live
     from rich import text as rich_text
 
-    from hapticd.client import blocks, requests
+    from hapticd.client import blocks, telemetry
 
 
 class Keys:
@@ -182,7 +182,7 @@ def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
         view.state = msgpack.unpackb(payload)
         return False
     if topic == EVENT:
-        view.event = event_words(requests.message_of(topic, payload))
+        view.event = event_words(telemetry.message_of(topic, payload))
         return False
     block = decoder.decode(payload)
     view.simulated = bool(block.header["simulated"])

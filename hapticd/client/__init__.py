@@ -19,9 +19,9 @@
     CommandError   refusal by the daemon: its `code` and text give the reason and the remedy
     DaemonDown     no daemon answers, or the gateway has no servo
 
-These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. The package also has
-`design` and `staircase` (experiments), `requests`, `commands` and `telemetry` (shared by the
-clients), `verdict` (the warning) and `formatting` (text for people).
+These are in `client`, `aio`, `listener`, `sequence` and `blocks`. The package also has `design`
+(experiments), `commands` and `telemetry` (shared by the clients) and `formatting` (text for people,
+and the warning).
 
 `fast_stop` is the short path to a stop, for programs that must not load large modules. The names
 above are loaded on first use, so that it stays fast.
@@ -34,8 +34,7 @@ from hapticd.core.lazy import lazily
 if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
     from hapticd.client.blocks import Block
-    from hapticd.client.client import Client
-    from hapticd.client.lease import ClientLease
+    from hapticd.client.client import Client, ClientLease
     from hapticd.client.listener import Listener
     from hapticd.client.sequence import Step, StepReceipt, step
     from hapticd.core.errors import CommandError, DaemonDown, GuardWarning, SequenceError
@@ -63,7 +62,7 @@ __getattr__, __dir__ = lazily(
         "AsyncClient": "hapticd.client.aio",
         "Block": "hapticd.client.blocks",
         "Client": "hapticd.client.client",
-        "ClientLease": "hapticd.client.lease",
+        "ClientLease": "hapticd.client.client",
         "CommandError": "hapticd.core.errors",
         "DaemonDown": "hapticd.core.errors",
         "GuardVerdict": "hapticd.protocol.answers",

@@ -25,9 +25,10 @@ import zmq.asyncio
 from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, Excerpt, Records, concatenated
+from hapticd.client.client import RENEWALS, lost_error, renews_again
 from hapticd.client.commands import Ask, Commands, Exchange, Pause, T, hand_event, loaded, reached
-from hapticd.client.lease import RENEWALS, lost_error, renews_again
-from hapticd.client.requests import (
+from hapticd.client.sequence import AtRefusal, Step, StepReceipt
+from hapticd.client.telemetry import (
     STOP_TIMEOUT_S,
     RequestTracker,
     TimedOut,
@@ -42,7 +43,6 @@ from hapticd.client.requests import (
     silence,
     socket_file,
 )
-from hapticd.client.sequence import AtRefusal, Step, StepReceipt
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S

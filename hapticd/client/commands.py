@@ -13,8 +13,8 @@ from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
-from hapticd.client.requests import not_reached, receipt_of
-from hapticd.client.verdict import GuardWarnings
+from hapticd.client.formatting import GuardWarnings
+from hapticd.client.telemetry import not_reached, receipt_of
 from hapticd.core.errors import DaemonDown, HapticdError, SequenceError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import DEFAULT_INSTANCE

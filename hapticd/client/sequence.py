@@ -36,7 +36,7 @@ from math import isfinite
 from typing import Any, Literal
 
 from hapticd.client.commands import POLL_S, Ask, Exchange, Pause, reply_or_raise
-from hapticd.client.requests import receipt_of
+from hapticd.client.telemetry import receipt_of
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answer_of
 

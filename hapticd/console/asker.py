@@ -26,7 +26,7 @@ from hapticd.client.formatting import (
     receipt_text,
     refusal_lines,
 )
-from hapticd.client.requests import receipt_of
+from hapticd.client.telemetry import receipt_of
 from hapticd.core.errors import CommandError, HapticdError
 from hapticd.model.excitation import Stream, band_noise, generator
 from hapticd.model.scene import Excitation

@@ -26,8 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.client.blocks import Block, BlockDecoder, Records
-from hapticd.client.client import Client
-from hapticd.client.lease import ClientLease
+from hapticd.client.client import Client, ClientLease
 from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown

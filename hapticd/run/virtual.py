@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from hapticd.client.client import Client
-from hapticd.client.requests import accepted, receipt_of
+from hapticd.client.telemetry import accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import (
     BoardParams,
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from hapticd.client.aio import AsyncClient
-    from hapticd.client.lease import ClientLease
+    from hapticd.client.client import ClientLease
     from hapticd.core.params import AtEnd, Leased
 
 __all__ = ["VirtualBoard", "virtual_board"]

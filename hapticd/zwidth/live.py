@@ -29,8 +29,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.client.blocks import Block, BlockDecoder
-from hapticd.client.client import Client
-from hapticd.client.lease import ClientLease
+from hapticd.client.client import Client, ClientLease
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.core.params import to_plain

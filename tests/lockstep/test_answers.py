@@ -16,7 +16,7 @@ from support.tree import ROOT
 
 import hapticd
 from benchmarks.guard_attack import shipped_judge
-from hapticd.client.requests import accepted, receipt_of
+from hapticd.client.telemetry import accepted, receipt_of
 from hapticd.core.environment import Environment
 from hapticd.core.errors import CommandError
 from hapticd.core.units import UNITS

@@ -15,7 +15,7 @@ import zmq
 from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt
-from hapticd.client.requests import RequestTracker, TimedOut, accepted, receipt_of
+from hapticd.client.telemetry import RequestTracker, TimedOut, accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Command, State
@@ -519,8 +519,8 @@ def test_long_waits_keep_a_lease(client: Client, monkeypatch: pytest.MonkeyPatch
         now_s[0] += seconds
 
     with client.lease("active_damping", ttl_s=20.0) as lease:
-        monkeypatch.setattr("hapticd.client.lease.time.sleep", wait)
-        monkeypatch.setattr("hapticd.client.lease.time.monotonic", lambda: now_s[0])
+        monkeypatch.setattr("hapticd.client.client.time.sleep", wait)
+        monkeypatch.setattr("hapticd.client.client.time.monotonic", lambda: now_s[0])
         asked: list[str] = []
         monkeypatch.setattr(lease, "_call", lambda cmd, **fields: asked.append(fields["action"]))
         lease.sleep(60.0)

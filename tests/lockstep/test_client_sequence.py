@@ -13,8 +13,8 @@ from support.gateway_rig import GatewayRig, decoded, packed, running
 from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.client import AsyncClient, Client, SequenceError, Step, StepReceipt, step
-from hapticd.client.requests import accepted
 from hapticd.client.sequence import LEAD_S, Ask, AtRefusal, Pause, exchange
+from hapticd.client.telemetry import accepted
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.gateway import server
 from hapticd.mailbox.layout import State

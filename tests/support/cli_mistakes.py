@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hapticd.client import Client
-from hapticd.client.requests import accepted
+from hapticd.client.telemetry import accepted
 from support.gateway_rig import CommandServerRig
 
 TEXTS = Path(__file__).with_name("data") / "cli_mistakes.txt"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.client.lease import renews_again
+from hapticd.client.client import renews_again
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 
 

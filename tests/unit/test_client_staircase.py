@@ -5,7 +5,7 @@ from math import erf, sqrt
 import numpy as np
 import pytest
 
-from hapticd.client.staircase import Staircase
+from hapticd.client.design import Staircase
 from hapticd.core.errors import ConfigError
 
 
