@@ -8,7 +8,7 @@
                  the path of /stop, ahead of all earlier requests
 
 One asyncio loop serves all browsers. A thread follows telemetry (`watch`), another one sends each
-browser's commands (`asker`). Messages for a slow browser wait (`browser`). If a browser leaves at
+browser's commands (`browser`). Messages for a slow browser wait (`browser`). If a browser leaves at
 any moment, or sends a message that this page never sends, its connection ends, and nothing is
 printed. The web server would log some cases with a traceback: text that is not UTF-8, bytes before
 its own answer.
@@ -19,16 +19,28 @@ pages find it again. A folder that this user may not write (the service's) gets 
 
 The loop must wait only in `await`, and listen on no address of the network. The web server must log
 as LOGGER, and name the protocol of a failed connection.
+
+Recording from the page: `hapticd record` as a separate process, one at a time.
+
+It is that verb, so the file is the same. If the page or the console dies, the recorder ends in
+order: it receives SIGTERM when the console dies, which finishes the file. Files go to the folder in
+which the console was started; no text from a page becomes part of a path.
+
+`--parent` makes the kernel send SIGTERM when this process dies in any way. A long-lived thread must
+start it, for the kernel watches that thread.
 """
 
 import asyncio
 import json
 import logging
 import os
+import signal
 import socket
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext, suppress
+from datetime import datetime
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -45,13 +57,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hapticd.client import fast_stop
 from hapticd.client.formatting import board_words
-from hapticd.console.asker import Asker
-from hapticd.console.browser import Browser
+from hapticd.console.browser import STOP_PATH, Asker, Browser, Visitors
 from hapticd.console.plane import Planes
-from hapticd.console.probing import Probing
-from hapticd.console.recorder import Recorder
-from hapticd.console.visitors import STOP_PATH, Visitors
-from hapticd.console.watch import Watch
+from hapticd.console.watch import Probing, Watch
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.mailbox.daemons import (
     read_json,
@@ -63,6 +71,79 @@ from hapticd.mailbox.files import CONSOLE, write_whole
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 __all__ = ["serve"]
+
+LONGEST_NOTE = 500
+LIVE = ".part.h5"  # suffix of a recording in progress
+FILE_LOOK_S = 0.05  # until the file exists
+
+
+class Recorder:
+    """The recorder of instance `instance`; passes its state as text to `publish`."""
+
+    def __init__(self, instance: str, folder: Path, publish: Callable[[str], None]) -> None:
+        self._instance = instance
+        self._folder = folder
+        self._publish = publish
+        self._process: asyncio.subprocess.Process | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self, note: str) -> str:
+        """Start with the operator's note; return the reason against it, or an empty text."""
+        if self._process is not None:
+            return "a recording is under way already: stop it first"
+        file = self._folder / f"{datetime.now():%Y%m%d-%H%M%S}-{self._instance}.h5"
+        self._process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "hapticd", "record", str(file), "--json"),
+            *("--instance", self._instance, "--parent", str(os.getpid())),
+            f"--note={note[:LONGEST_NOTE]}",
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            process_group=0,
+        )
+        self._task = asyncio.create_task(self._await_end(self._process, file))
+        part = file.with_suffix(LIVE)
+        while self._process is not None and not part.exists():
+            await asyncio.sleep(FILE_LOOK_S)
+        if self._process is not None:
+            self._tell({"recording": True, "file": str(file), "note": note})
+        return ""
+
+    def stop(self) -> str:
+        """Stop the recording; its file is announced when it is packed. Return the reason against
+        it, or an empty text.
+        """
+        if self._process is None:
+            return "no recording is running"
+        self._process.send_signal(signal.SIGINT)
+        return ""
+
+    async def close(self) -> None:
+        """Finish the current recording."""
+        if self._process is not None and self._task is not None:
+            self._process.send_signal(signal.SIGINT)
+            await self._task
+
+    async def _await_end(self, process: asyncio.subprocess.Process, file: Path) -> None:
+        out, err = await process.communicate()
+        self._process = None
+        self._tell({"recording": False, "file": str(file), "text": _ending(out, err)})
+
+    def _tell(self, content: dict[str, Any]) -> None:
+        self._publish(json.dumps({"kind": "recorder", "told": content}))
+
+
+def _ending(out: bytes, err: bytes) -> str:
+    """Return the final output of `hapticd record --json` in one line."""
+    try:
+        found = json.loads(out.decode().splitlines()[-1])
+    except (ValueError, IndexError):
+        return f"not recorded: {err.decode(errors='replace').strip()[-300:]}"
+    if not found.get("ok"):
+        return f"not recorded: {found['error']['message']}"
+    missing = found["missing"]["servo"]
+    return f"{found['file']}: {found['seconds']:.1f} s, {found['records']} ticks, {missing} missing"
+
 
 ADDRESS = "127.0.0.1"
 DEFAULT_PORT = 9873  # next to telemetry's; an ephemeral one if taken

@@ -23,12 +23,11 @@ from starlette.datastructures import Headers
 from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
-from hapticd.console import asker, server, visitors
-from hapticd.console.asker import Asker
-from hapticd.console.browser import FRAMES, WINDOW, WORDS, Outbox
-from hapticd.console.probing import estimate
-from hapticd.console.visitors import objection
-from hapticd.console.watch import frame
+from hapticd.console import browser as asker
+from hapticd.console import browser as visitors
+from hapticd.console import server
+from hapticd.console.browser import FRAMES, WINDOW, WORDS, Asker, Outbox, objection
+from hapticd.console.watch import estimate, frame
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
 from hapticd.mailbox.files import COMMAND_SOCKET, CONSOLE

@@ -7,7 +7,7 @@ import pytest
 from support.gateway_stand_in import setup
 
 from benchmarks.guard_attack import shipped_judge
-from hapticd.console.asker import EXCITE, Asker
+from hapticd.console.browser import EXCITE, Asker
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.protocol.commands import values_given
