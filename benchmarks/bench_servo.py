@@ -11,9 +11,8 @@ from pathlib import Path
 
 from benchmarks.records import place
 from benchmarks.worker import BenchError
-from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams, from_plain
-from hapticd.core.units import NS_PER_S, NS_PER_US
+from hapticd.core.units import NS_PER_S, NS_PER_US, MonotonicClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command

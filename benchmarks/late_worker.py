@@ -7,7 +7,7 @@ import sys
 from benchmarks.bench_servo import BenchServo, read_parameters
 from benchmarks.interpreter import this_interpreter
 from benchmarks.worker import serve
-from hapticd.core.clock import MonotonicClock
+from hapticd.core.units import MonotonicClock
 from hapticd.run.servo_main import simulated_backend
 from hapticd.usb.link import UsbLink
 

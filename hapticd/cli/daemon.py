@@ -41,7 +41,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.client import fast_stop
-    from hapticd.core import clock, process
+    from hapticd.core import process, units
     from hapticd.mailbox import daemons
     from hapticd.run import supervisor as supervisors
     from hapticd.settings import build, load, toml
@@ -92,7 +92,7 @@ def run(
         runtime_folder(instance),
         settings,
         instance,
-        clock.MonotonicClock(),
+        units.MonotonicClock(),
         tell,
         console=console,
     )

@@ -30,7 +30,7 @@ from hapticd.cli.daemon import status_lines
 from hapticd.cli.deferred import deferred_imports
 from hapticd.client import fast_stop
 from hapticd.client.formatting import event_words
-from hapticd.core import clock
+from hapticd.core import units
 from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.process import die_with_parent
@@ -148,7 +148,7 @@ def watch(instance: str, seconds: float | None, show: Callable[[View], None]) ->
 
     `seconds` None: until q is pressed.
     """
-    now_ns = clock.MonotonicClock().now_ns
+    now_ns = units.MonotonicClock().now_ns
     begin_ns = now_ns()
     newest_ns = begin_ns  # arrival of the last record
     shown_ns = 0
@@ -271,7 +271,7 @@ def events(
     Stops at Ctrl-C. `hapticd run` prints the same lines in its own terminal.
     """
     die_with_parent(parent)
-    now_ns = clock.MonotonicClock().now_ns
+    now_ns = units.MonotonicClock().now_ns
     begin_ns = now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
         rights = client.status().servo.get("realtime") or {}

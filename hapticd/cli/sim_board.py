@@ -6,9 +6,9 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
-from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.process import on_stop
+from hapticd.core.units import MonotonicClock
 
 with deferred_imports():
     from hapticd.settings import build, load

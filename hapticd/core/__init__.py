@@ -3,13 +3,13 @@
 No module here opens a device or a socket, and only `arrays` and `process` load more than small
 modules of the standard library. The package imports nothing by itself.
 
-    environment  `Environment`: rendered impedance, active damping, and the table of its fields
+    environment  `Environment`: rendered impedance, active damping, and the table of its fields;
+                 limits of settings, declared with them and without pydantic
     params       frozen parameters in SI units, and their JSON form
-    constraints  limits of settings, declared with them and without pydantic
-    units        constants and small conversions
+    units        constants and small conversions; clocks, passed to all code that waits or takes
+                 time stamps
     errors       the one error tree
     faults       every reason for which the servo leaves `enabled` by itself, with its remedy
-    clock        clocks, passed to all code that waits or takes time stamps
     process      the end of a process of hapticd, and its notifications to systemd
     arrays       array types and aligned arrays, in numpy
     extras       optional libraries, and how to install a missing one

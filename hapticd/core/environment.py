@@ -11,12 +11,20 @@ forms and in messages, its unit and range, and the effect of a change. Every tra
 from the table.
 
 `workspace` is configured once and has no row in the table, because no command changes it.
+
+Limits of a setting, declared with it: `rate_hz: Annotated[float, Constraints(ge=50)]`.
+
+The parameters of one TOML table (`TableParams`) are declared once, in `core.params`: fields are
+keys, defaults are those of the file, and attribute docstrings describe a key in the JSON schema.
+`settings` passes these classes to pydantic, which calls the methods below. No code here imports
+pydantic, and the servo process runs without it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from inspect import cleandoc
 from math import isfinite
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from hapticd.core.errors import ConfigError
 
@@ -27,14 +35,60 @@ __all__ = [
     "JUDGED",
     "SLOTS",
     "STRENGTHS",
+    "Constraints",
+    "Duration",
     "Environment",
     "EnvironmentField",
     "FilterParams",
+    "Microseconds",
+    "NotNegative",
     "Point",
+    "Positive",
+    "ServoRateHz",
+    "TableParams",
     "WallParams",
     "WorkspaceParams",
     "flat",
 ]
+
+
+class Constraints:
+    """Limits of a value, with pydantic's names: ge, gt, le, lt, min_length, strict."""
+
+    def __init__(self, **constraints: Any) -> None:
+        self._constraints = constraints
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> dict[str, Any]:
+        return {**handler(source), **self._constraints}
+
+
+class TableParams:
+    """Base of parameters that correspond to one TOML table."""
+
+    __slots__ = ()
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        schema = handler(source)
+        # a strict schema would accept only instances; the fields stay strict
+        handler.resolve_ref_schema(schema)["strict"] = False
+        return schema
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
+        found = handler(schema)
+        # pydantic 2.11 sets neither for a dataclass
+        said = {"description": cleandoc(cls.__doc__ or ""), "additionalProperties": False}
+        handler.resolve_ref_schema(found).update(said)
+        return found
+
+
+Positive = Annotated[float, Constraints(gt=0)]
+NotNegative = Annotated[float, Constraints(ge=0)]
+Duration = Annotated[float, Constraints(ge=0, le=60)]
+ServoRateHz = Annotated[float, Constraints(ge=50, le=20_000)]
+Microseconds = Annotated[float, Constraints(ge=0, le=1000)]
+
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 

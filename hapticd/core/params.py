@@ -14,16 +14,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from hapticd.core.constraints import (
+from hapticd.core.environment import (
     Constraints,
     Duration,
+    Environment,
     Microseconds,
     NotNegative,
     Positive,
     ServoRateHz,
     TableParams,
+    WorkspaceParams,
 )
-from hapticd.core.environment import Environment, WorkspaceParams
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import round_half_up
 

@@ -14,8 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hapticd.core.clock import Clock
-from hapticd.core.units import NS_PER_US
+from hapticd.core.units import NS_PER_US, Clock
 
 if TYPE_CHECKING:
     import subprocess

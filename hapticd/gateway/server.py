@@ -39,10 +39,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hapticd
-from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError, MailboxError
 from hapticd.core.params import GatewayParams, GatewaySetup, to_plain
-from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from hapticd.gateway import peers
 from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.peers import Port

@@ -9,8 +9,7 @@ is not built and costs no state and no time.
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from hapticd.core.constraints import Constraints, NotNegative, Positive, TableParams
-from hapticd.core.environment import Environment
+from hapticd.core.environment import Constraints, Environment, NotNegative, Positive, TableParams
 from hapticd.model.effects import Effect
 
 __all__ = ["DampingStep", "Excitation", "Scene"]

@@ -21,9 +21,8 @@ from typing import Any
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, Clock, MonotonicClock
 from hapticd.protocol.answers import Hello, Status
 from hapticd.recording import live, pack
 from hapticd.recording.live import TOPICS, Writer

@@ -16,10 +16,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GatewaySetup, read_params
 from hapticd.core.process import Feeder, die_with_parent, launch, notify, on_stop
+from hapticd.core.units import MonotonicClock
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
 

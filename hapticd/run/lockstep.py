@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.client.client import Client
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import CommandError, ConfigError, MailboxError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.params import (
@@ -38,6 +37,7 @@ from hapticd.core.params import (
     UsbParams,
     to_plain,
 )
+from hapticd.core.units import VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, State, Value

@@ -37,11 +37,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
 from hapticd.core.process import launch
-from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import console_place
 from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits

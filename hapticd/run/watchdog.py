@@ -18,9 +18,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.errors import MailboxError
 from hapticd.core.process import die_with_parent, feeding_period_ns, notify
+from hapticd.core.units import Clock, MonotonicClock
 from hapticd.mailbox import files, layout
 
 

@@ -25,10 +25,9 @@ may take 100 ms).
 from math import nan
 from typing import Any, Final, NamedTuple
 
-from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkError, MailboxError, WireError
 from hapticd.core.params import ServoParams
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, Clock
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo.inbox import Inbox
 from hapticd.servo.plan import (

@@ -57,8 +57,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from hapticd.core.clock import Clock
-from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
 from hapticd.mailbox.servo_side import ServoMailbox

@@ -23,10 +23,9 @@ come before the record is published.
 
 import os
 
-from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkLost
 from hapticd.core.params import ServoParams
-from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, round_half_up
+from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, round_half_up
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag

@@ -36,12 +36,14 @@ from typing import (
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from pydantic_core import ErrorDetails
 
-from hapticd.core.constraints import Constraints, Positive, TableParams
 from hapticd.core.environment import (
     FIELDS,
     STRENGTHS,
+    Constraints,
     Environment,
     FilterParams,
+    Positive,
+    TableParams,
     WallParams,
     WorkspaceParams,
 )

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from hapticd.core.constraints import ServoRateHz
+from hapticd.core.environment import ServoRateHz
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import (
     EnvironmentLimits,

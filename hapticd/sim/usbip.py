@@ -29,9 +29,8 @@ from select import POLLIN, poll
 from time import sleep
 from typing import NamedTuple
 
-from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError
-from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.sim import usb_device
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import IN_BIT, Setup, UsbDevice

@@ -73,10 +73,9 @@ from math import ceil, floor
 from statistics import median
 from typing import NamedTuple
 
-from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkError, LinkTimeout, ProtocolMismatch, WireError
 from hapticd.core.params import MOST_CORRECTION, DeviceParams, ScaleParams
-from hapticd.core.units import NS_PER_S, NS_PER_US, PROBE_RATE_HZ, US_PER_S
+from hapticd.core.units import NS_PER_S, NS_PER_US, PROBE_RATE_HZ, US_PER_S, Clock
 from hapticd.usb import frames
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST, backoff_s
 from hapticd.usb.device import Device

@@ -6,8 +6,8 @@ from pathlib import Path
 from support.gateway_rig import START_NS, packed
 from support.gateway_stand_in import StandInServo, setup
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.params import GatewaySetup, ScaleParams
+from hapticd.core.units import VirtualClock
 from hapticd.gateway.server import GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD
 

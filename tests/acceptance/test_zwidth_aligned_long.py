@@ -11,9 +11,8 @@ from support.recorded import RecordedFlight, Source, room
 from test_zwidth_aligned import ENVIRONMENT, GAPS, OFFSET, PPM, ROWS, Flown, written
 
 from hapticd.cli.app import main
-from hapticd.core.clock import VirtualClock
 from hapticd.core.environment import Environment
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.mailbox.layout import Command, Value
 from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording

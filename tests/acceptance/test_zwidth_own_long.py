@@ -13,10 +13,9 @@ import pytest
 from support.recorded import RecordedFlight, Source, room
 
 from hapticd.cli.app import main
-from hapticd.core.clock import VirtualClock
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.mailbox.layout import Command, Value
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording

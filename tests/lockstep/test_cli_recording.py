@@ -12,8 +12,7 @@ from support.recorded import RecordedFlight, Source
 from hapticd.cli import daemon, recording
 from hapticd.cli.app import main
 from hapticd.core import process
-from hapticd.core.clock import VirtualClock
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.recording import recorder
 
 

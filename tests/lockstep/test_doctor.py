@@ -14,9 +14,8 @@ from typing import Any
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.core.clock import VirtualClock
 from hapticd.core.params import RealtimeParams, UsbParams
-from hapticd.core.units import NS_PER_S, NS_PER_US
+from hapticd.core.units import NS_PER_S, NS_PER_US, VirtualClock
 from hapticd.run.doctor import late, machine, probes
 from hapticd.run.doctor.checks import CHECKS, Check, CheckResult, examine, examined
 from hapticd.run.doctor.machine import (

@@ -19,9 +19,8 @@ from support.gateway_stand_in import setup
 from support.raw_peer import RawPeer
 from support.tree import ROOT
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError, MailboxError
-from hapticd.core.units import NS_PER_MS
+from hapticd.core.units import NS_PER_MS, VirtualClock
 from hapticd.gateway.server import REQUESTS_PER_PASS, SETTLING_NS, GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, Command
 

@@ -15,10 +15,9 @@ from support.gateway_stand_in import setup
 from support.models import servo_params
 
 from hapticd.cli.app import main
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import DaemonDown, MailboxError, ProtocolMismatch
 from hapticd.core.params import UsbParams
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.gateway.server import GatewayServer
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State

@@ -10,7 +10,6 @@ import pytest
 import usb.backend.libusb1
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import (
     ConfigError,
     LinkAccess,
@@ -20,6 +19,7 @@ from hapticd.core.errors import (
     MissingLibrary,
 )
 from hapticd.core.params import InjectionParams, UsbParams
+from hapticd.core.units import VirtualClock
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.bus import usb_error

@@ -9,9 +9,8 @@ import pytest
 from support.recorded import RecordedFlight, Source, recorded_into, room
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.recording import pack, recorder
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer

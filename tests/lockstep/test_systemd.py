@@ -19,10 +19,9 @@ from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.core import process
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import RealtimeParams, UsbParams
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.mailbox import files
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.servo_side import ServoMailbox

@@ -10,9 +10,8 @@ from math import pi
 from random import Random
 from typing import Any
 
-from hapticd.core.clock import Clock
 from hapticd.core.params import BoardParams
-from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ
+from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ, Clock
 from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import (
     Amplifier,

@@ -12,9 +12,8 @@ from typing import Any, Self
 import msgpack
 import zmq
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.params import LeaseParams
-from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
 from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.server import GatewayServer
 from hapticd.guard.status import Guard

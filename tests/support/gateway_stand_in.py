@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from hapticd.core.clock import Clock, MonotonicClock, VirtualClock
 from hapticd.core.environment import Environment
 from hapticd.core.params import (
     DeviceParams,
@@ -23,7 +22,7 @@ from hapticd.core.params import (
     ServoParams,
     UsbParams,
 )
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, Clock, MonotonicClock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox

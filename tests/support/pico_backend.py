@@ -16,8 +16,7 @@ from typing import Any
 
 import usb.backend
 
-from hapticd.core.clock import Clock
-from hapticd.core.units import NS_PER_MS
+from hapticd.core.units import NS_PER_MS, Clock
 from hapticd.sim.bus import usb_error
 from support.pico_plant import ADDRESS, Rig
 

@@ -14,8 +14,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from hapticd.core.clock import MonotonicClock
-from hapticd.core.units import NS_PER_MS, NS_PER_US
+from hapticd.core.units import NS_PER_MS, NS_PER_US, MonotonicClock
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import Setup
 from hapticd.sim.usbip import UsbipServer

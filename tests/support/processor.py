@@ -8,7 +8,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-from hapticd.core.clock import Clock, VirtualClock
+from hapticd.core.units import Clock, VirtualClock
 from hapticd.mailbox.layout import STAGES
 from hapticd.run.lockstep import LockStep
 

@@ -9,7 +9,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.params import (
     BoardParams,
     GatewayParams,
@@ -17,7 +16,7 @@ from hapticd.core.params import (
     GuardParams,
     ServoParams,
 )
-from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
 from hapticd.gateway.publisher import Publisher
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Value

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.core.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run import supervisor

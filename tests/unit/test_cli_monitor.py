@@ -15,9 +15,8 @@ from hapticd.cli import monitor
 from hapticd.cli.app import main
 from hapticd.cli.monitor import View, screen
 from hapticd.client import fast_stop
-from hapticd.core.clock import VirtualClock
 from hapticd.core.faults import BY_CODE
-from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
 from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.telemetry import Origin, RingBlock, raw_message
@@ -198,7 +197,7 @@ class StreamDouble:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
     clock = VirtualClock(NS_PER_S)
-    monkeypatch.setattr("hapticd.core.clock.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("hapticd.core.units.MonotonicClock", lambda: clock)
     return clock
 
 

@@ -10,9 +10,9 @@ from support.gateway_rig import GatewayRig
 from support.gateway_stand_in import setup
 
 from hapticd.cli.app import main
-from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import GatewayParams
+from hapticd.core.units import VirtualClock
 from hapticd.gateway.server import GatewayServer
 from hapticd.protocol import leases
 

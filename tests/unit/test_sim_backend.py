@@ -8,7 +8,7 @@ import usb.core
 import usb.util
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.core.clock import MonotonicClock, VirtualClock
+from hapticd.core.units import MonotonicClock, VirtualClock
 from hapticd.sim.backend import ENDLESS_MS, SPIN_NS, SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.bus import LIBUSB_ERRORS, usb_error

@@ -21,7 +21,7 @@ import sys
 import threading
 from pathlib import Path
 
-from hapticd.core.clock import MonotonicClock
+from hapticd.core.units import MonotonicClock
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 from hapticd.sim.board import make_board

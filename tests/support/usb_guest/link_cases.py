@@ -22,8 +22,8 @@ from machine import (
 )
 from packets import answers, opens, read, write
 
-from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout
+from hapticd.core.units import MonotonicClock
 from hapticd.usb import codec, frames
 from hapticd.usb.device import Device
 from hapticd.usb.frames import Request
