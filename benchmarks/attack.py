@@ -46,8 +46,8 @@ from hapticd.core.params import (
     ServoParams,
     TouchParams,
 )
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, State, Value, values_of
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params
 

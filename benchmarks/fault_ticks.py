@@ -39,8 +39,8 @@ from hapticd.core.params import (
     TouchParams,
 )
 from hapticd.core.units import NS_PER_MS
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Value
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.model.composed import VELOCITY
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED

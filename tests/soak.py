@@ -38,7 +38,7 @@ from benchmarks.worker import BenchError
 from hapticd.client import Client
 from hapticd.core.errors import CommandError, DaemonDown, MailboxError
 from hapticd.core.units import NS_PER_MS
-from hapticd.mailbox.stop_word import press_stop
+from hapticd.mailbox.daemons import press_stop
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "build" / "soak.json"

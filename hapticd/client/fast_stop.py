@@ -3,7 +3,7 @@
 It presses every live daemon of this user and the service, or with `--instance` the named one: the
 operator need not know which of them moves. All stop words are pressed before any wait, so that a
 hanging daemon delays no stop. Then the servos have 50 ms together to clear their words, which each
-does once no force acts (`mailbox.stop_word`). No gateway takes part, for it may be flooded, and no
+does once no force acts (`mailbox.daemons`). No gateway takes part, for it may be flooded, and no
 socket, whose library takes longer to load than the whole stop. It takes less than 100 ms, including
 the interpreter.
 
@@ -18,8 +18,13 @@ from typing import NamedTuple
 from hapticd.core.errors import DaemonDown, HapticdError, MailboxError
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import daemons, files
-from hapticd.mailbox.daemons import RuntimeFolder
-from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, stop_taken
+from hapticd.mailbox.daemons import (
+    ACTOR_STOP_WORD,
+    RuntimeFolder,
+    press_stop,
+    servo_lives,
+    stop_taken,
+)
 
 __all__ = ["main", "stop"]
 

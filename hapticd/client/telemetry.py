@@ -26,9 +26,8 @@ import zmq
 
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.daemons import down, instance_of
+from hapticd.mailbox.daemons import down, instance_of, press_stop
 from hapticd.mailbox.files import COMMAND_SOCKET
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import Event, Receipt, answer_of, verdict_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 

@@ -62,13 +62,14 @@ from hapticd.console.plane import Planes
 from hapticd.console.watch import Probing, Watch
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.mailbox.daemons import (
+    ACTOR_STOP_WORD,
     read_json,
     read_report,
     require_trusted,
+    servo_lives,
     untrusted_daemon_folder,
 )
 from hapticd.mailbox.files import CONSOLE, write_whole
-from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 __all__ = ["serve"]
 

@@ -27,8 +27,8 @@ from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, State, values_of
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import InForce
 from hapticd.protocol.codec import RequestMessage, unpacked
 from hapticd.protocol.commands import (

@@ -29,7 +29,7 @@ from hapticd.core.environment import Environment, FilterParams, Point
 from hapticd.core.params import EnvironmentLimits, GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.guard.transition_planner import AXES
-from hapticd.mailbox.environment_limits import WIDEST
+from hapticd.mailbox.client_side import WIDEST
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because

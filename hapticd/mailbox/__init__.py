@@ -14,11 +14,9 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
     files        runtime_folder; claims, maps, ordered words
     daemons      daemon_folder; possible folders of daemons, whether they are trusted and their
-                 daemons alive
-    environment_limits  limits on the K, B and M that a client may request of a device
+                 daemons alive; StopWord, press_stop
+    client_side  GatewayMailbox; limits on the K, B and M that a client may request of a device
     servo_side   ServoMailbox
-    client_side  GatewayMailbox
-    stop_word    StopWord, press_stop
 
 Three kinds of mailbox: every value, in order, once -> command and answer ring; every value, lossy
 but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring answers

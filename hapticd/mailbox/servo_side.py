@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import StopWord
 from hapticd.mailbox.files import word_access
-from hapticd.mailbox.stop_word import StopWord
 
 __all__ = ["ServoMailbox"]
 

@@ -24,7 +24,7 @@ from string import Formatter
 from typing import Any, Final, Literal
 
 from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
+from hapticd.mailbox.daemons import ACTOR_STOP_WORD
 
 __all__ = [
     "EVENTS",

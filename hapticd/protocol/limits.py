@@ -1,7 +1,7 @@
 """The range of each parameter on this device at this rate.
 
 It is the mailbox's table under the names that clients use, with the ranges of K, B and M narrowed
-for the device (`mailbox.environment_limits`).
+for the device (`mailbox.client_side`).
 """
 
 from math import inf, isfinite
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hapticd.core.environment import SLOTS, flat
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import EnvironmentLimits, ServoParams
-from hapticd.mailbox.environment_limits import AXES
+from hapticd.mailbox.client_side import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
 __all__ = ["PLACES", "CommandLimits"]

@@ -31,9 +31,8 @@ from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, US_PER_S
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.daemons import living_report
+from hapticd.mailbox.daemons import FIRST_CLIENT, living_report
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, Flag, State, Value, newer
-from hapticd.mailbox.stop_word import FIRST_CLIENT
 from hapticd.signal.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit

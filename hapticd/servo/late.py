@@ -59,9 +59,9 @@ from typing import NamedTuple
 
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from hapticd.mailbox import layout
+from hapticd.mailbox.daemons import READ_BYTES
 from hapticd.mailbox.layout import Flag, LateCause
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.mailbox.stop_word import READ_BYTES
 from hapticd.servo.plan import SETTLED, ServoState
 from hapticd.servo.step import Step
 from hapticd.usb.codec import HEAD_ENCODER, HEAD_STATUS, HEAD_TEMPERATURE

@@ -27,10 +27,10 @@ from hapticd.core.errors import LinkLost
 from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, round_half_up
 from hapticd.mailbox import layout
+from hapticd.mailbox.daemons import NOT_PRESSED, READ_BYTES
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.servo.connection import BoardConnection
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.late import ON_TIME, LateTicks, Wait, first_deadline, rehearsal
@@ -191,7 +191,7 @@ class ServoLoop:
             commands: tuple[Request, ...] = ()
             count = 0
             samples = NO_SAMPLES
-            # read, not mapped: another process may truncate this file (`mailbox.stop_word`)
+            # read, not mapped: another process may truncate this file (`mailbox.daemons`)
             pressed = pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
             start = wait(deadline, rehearse)
             if pausing:

@@ -36,9 +36,9 @@ from hapticd.client.blocks import Block
 from hapticd.core.faults import BY_CODE, FAULTS
 from hapticd.gateway.publisher import described
 from hapticd.mailbox import files
+from hapticd.mailbox.daemons import stop_taken
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.mailbox.stop_word import stop_taken
 
 # a busy machine has long delays, with which little is safe
 pytestmark = [

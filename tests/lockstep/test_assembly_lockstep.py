@@ -15,8 +15,8 @@ from hapticd.core.errors import LinkLost, MailboxError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, InjectionParams
 from hapticd.mailbox import layout
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.loop import ServoLoop

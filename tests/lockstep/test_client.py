@@ -18,8 +18,8 @@ from hapticd.client import Client, Receipt
 from hapticd.client.telemetry import RequestTracker, TimedOut, accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown
 from hapticd.core.units import NS_PER_S
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, State
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.schemas import PROTOCOL_VERSION
 from hapticd.protocol.view import RECORD_DTYPE
 

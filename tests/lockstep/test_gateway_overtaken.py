@@ -10,8 +10,8 @@ import pytest
 from support.gateway_rig import decoded, packed
 from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
 
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import State
-from hapticd.mailbox.stop_word import press_stop
 
 NOTHING = {"K": 0.0, "B": 0.0}
 

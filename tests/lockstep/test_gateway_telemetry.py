@@ -22,8 +22,8 @@ from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
 from hapticd.mailbox import layout
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import STAGES, Flag
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.telemetry import (
     COLUMNS,
     ENERGIES,

@@ -20,9 +20,9 @@ from hapticd.core.params import UsbParams
 from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.gateway.server import GatewayServer
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import StopWord, press_stop, servo_lives
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.mailbox.stop_word import StopWord, press_stop, servo_lives
 from hapticd.run import servo_main
 from hapticd.run.lockstep import LockStep
 from hapticd.run.servo_main import Servo

@@ -13,8 +13,8 @@ from support.models import COUNT_NS_PER_M, servo_params
 from hapticd.core.errors import LinkLost
 from hapticd.core.params import SafetyParams
 from hapticd.core.units import NS_PER_MS
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.sim.axis import DAMPING_HOLD_S, DAMPING_RELEASE_S

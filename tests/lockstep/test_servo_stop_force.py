@@ -11,8 +11,8 @@ from support.models import COUNT_N, device_params, servo_params
 
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, SafetyParams, ScaleParams
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Value
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.run.lockstep import LockStep
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED

@@ -7,8 +7,8 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.mailbox import files
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.run.lockstep import LockStep
 
 A, B, STOP_PAGE = 16, 17, 2

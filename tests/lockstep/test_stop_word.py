@@ -17,16 +17,9 @@ from support.models import servo_params
 
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import MODE, NOT_PRESSED, StopWord, press_stop, servo_lives, stop_taken
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.mailbox.stop_word import (
-    MODE,
-    NOT_PRESSED,
-    StopWord,
-    press_stop,
-    servo_lives,
-    stop_taken,
-)
 from hapticd.run import supervisor
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED

@@ -7,8 +7,8 @@ import pytest
 
 from hapticd.cli.app import main
 from hapticd.core.errors import DaemonDown
+from hapticd.mailbox.daemons import StopWord
 from hapticd.mailbox.files import prepare_folder, runtime_folder
-from hapticd.mailbox.stop_word import StopWord
 
 WORDS = ["get --instance nope", "stop --instance nope"]
 

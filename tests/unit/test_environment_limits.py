@@ -7,7 +7,7 @@ from support.gateway_stand_in import setup
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import EnvironmentLimits, ServoParams, from_plain, to_plain
-from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
+from hapticd.mailbox.client_side import UNKNOWN, WIDEST, environment_limits
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import json_schema, parse
 

@@ -18,9 +18,8 @@ from hapticd.client import fast_stop
 from hapticd.client.fast_stop import main, stop
 from hapticd.core.errors import DaemonDown, MailboxError
 from hapticd.mailbox import daemons, files
-from hapticd.mailbox.daemons import RuntimeFolder
+from hapticd.mailbox.daemons import NOT_PRESSED, RuntimeFolder
 from hapticd.mailbox.layout import State
-from hapticd.mailbox.stop_word import NOT_PRESSED
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from support.gateway_rig import CommandServerRig
 from support.gateway_stand_in import NEXT_STATE
 
 from hapticd.core.errors import CommandError
+from hapticd.mailbox.daemons import ACTOR_STOP_WORD
 from hapticd.mailbox.layout import Command, Result, State
-from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
 from hapticd.protocol import commands
 from hapticd.protocol.commands import ALLOWED
 from hapticd.protocol.journal import RESERVED

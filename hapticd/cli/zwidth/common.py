@@ -21,7 +21,7 @@ from hapticd.protocol.limits import CommandLimits
 
 with deferred_imports():
     from hapticd.guard import safe_region
-    from hapticd.mailbox import environment_limits
+    from hapticd.mailbox import client_side
     from hapticd.model import scene as model_scene
     from hapticd.recording import provenance
     from hapticd.settings import device as device_files
@@ -219,10 +219,10 @@ def require_within(name: str, shown: "sources.Display", asked: dict[str, float])
     """Raise BadParameter for values that a daemon would refuse to render on this device."""
     own = device_of(name)
     ceiling = own.limits.active_damping_ns_per_m
-    passive = environment_limits.UNKNOWN
+    passive = client_side.UNKNOWN
     if own.model is not None:
         passive = safe_region.passive_ranges(shown.model, shown.scene.environment.filters, ceiling)
-    widest = environment_limits.environment_limits(passive)
+    widest = client_side.environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):
         raise typer.BadParameter("; ".join(one["msg"] for one in broken))

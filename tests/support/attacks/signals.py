@@ -15,8 +15,8 @@ from random import Random
 from typing import NamedTuple
 
 from hapticd.mailbox import files
+from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import State
-from hapticd.mailbox.stop_word import press_stop
 from support.attacks.live import LiveDaemon, Watch, children, until
 from support.attacks.rows import Losses, Outcome
 from support.attacks.stage import QUIET, SETTINGS, shared

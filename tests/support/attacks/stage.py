@@ -27,7 +27,7 @@ from typing import NamedTuple
 from hapticd.client.client import GatewayConnection
 from hapticd.core.errors import DaemonDown
 from hapticd.core.units import NS_PER_MS
-from hapticd.mailbox.stop_word import press_stop
+from hapticd.mailbox.daemons import press_stop
 from support.attacks.live import LiveDaemon, Subscriber, Watch, usage
 from support.attacks.rows import Losses, Outcome
 from support.tree import TESTS

@@ -22,7 +22,7 @@ from random import Random
 
 from hapticd.core.errors import CommandError, DaemonDown
 from hapticd.mailbox import files
-from hapticd.mailbox.stop_word import press_stop
+from hapticd.mailbox.daemons import press_stop
 from support.attacks.live import LiveDaemon, Watch, until, usage
 from support.attacks.peers import REQUESTS, Peers, framed, send
 from support.attacks.rows import Losses, Outcome
