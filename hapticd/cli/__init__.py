@@ -2,18 +2,15 @@
 
     app         all verbs under one name, `help`; errors become exit codes
     terminal    shared options, output to stdout and stderr, the progress bar, figures on disk
-    change      a connection to the daemon, NAME=VALUE arguments, receipts
-    numbers     numbers typed by people
+    change      a connection to the daemon, NAME=VALUE arguments, receipts; numbers typed by people;
+                guard; lease: leases of the environment and the damping
     deferred    imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
     monitor     the lines of status, live in a terminal; events
-    console     the operators' page
-    guard       guard; lease: leases of the environment and the damping
-    bridge      bridge lsl: telemetry for other tools
+    network     the operators' page; bridge lsl: telemetry for other tools; keys
     recording   record, rec, replay
     system      config, doctor, install-system
-    keys        keys
     sim         sim run, explain, effects, ceiling; accuracy; studies remedies; sim_board:
                 sim-board
     zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare

@@ -25,18 +25,18 @@ SECTIONS: dict[str, dict[str, str]] = {  # section of the help; module here, and
         "set": "daemon.set_parameters",
         "get": "daemon.get_parameters",
         "damping": "daemon.damping",
-        "guard": "guard.guard",
+        "guard": "change.guard",
         "disable": "daemon.disable",
         "stop": "daemon.stop",
         "reset": "daemon.reset",
         "zero": "daemon.zero",
         "home": "daemon.home",
-        "lease": "lease.lease_app",
+        "lease": "change.lease_app",
     },
     "Look": {
         "monitor": "monitor.monitor",
         "events": "monitor.events",
-        "console": "console.console",
+        "console": "network.console",
         "help": "app.explain",
     },
     "Record": {
@@ -51,18 +51,18 @@ SECTIONS: dict[str, dict[str, str]] = {  # section of the help; module here, and
         "install-system": "system.install_system",
         "config": "system.config_app",
         "rig": "rig.app",
-        "keys": "keys.app",
-        "bridge": "bridge.app",
+        "keys": "network.keys_app",
+        "bridge": "network.bridge_app",
     },
     "Simulate": {
         "accuracy": "sim.accuracy",
-        "sim-board": "sim_board.sim_board",
+        "sim-board": "sim.sim_board",
         "sim": "sim.sim_app",
         "studies": "sim.studies_app",
     },
     "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }
-CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs with a parser of their own
+CLASSES = {"damping": "change.SignedLevel"}  # of verbs with a parser of their own
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # Typer's class for a user's mistake
 INSTANCE_OPTION = "--instance"

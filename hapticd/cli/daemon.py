@@ -17,11 +17,8 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.change import change, changes, connect
+from hapticd.cli.change import change, changes, connect, guard_lines, lease_lines, number
 from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.guard import guard_lines
-from hapticd.cli.lease import lease_lines
-from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.formatting import (
     board_words,

@@ -6,7 +6,7 @@ import numpy as np
 import pylsl
 import pytest
 
-from hapticd.cli import bridge
+from hapticd.cli import network
 from hapticd.cli.app import main
 from hapticd.client.blocks import Excerpt
 
@@ -40,7 +40,7 @@ class Ticking:
 def test_every_tick_comes_out_of_lsl_with_the_stamp_of_the_servo(hapticd_board, monkeypatch):
     """LSL has threads and sockets of its own."""
     device = Ticking(hapticd_board)
-    monkeypatch.setattr(bridge, "connect", lambda instance: device)
+    monkeypatch.setattr(network, "connect", lambda instance: device)
     codes = []
     words = ["bridge", "lsl", "--seconds", "1.0"]
     thread = threading.Thread(target=lambda: codes.append(main(words)))
@@ -59,6 +59,6 @@ def test_every_tick_comes_out_of_lsl_with_the_stamp_of_the_servo(hapticd_board, 
     thread.join(60.0)
     assert codes == [0]
     assert inlet.info().nominal_srate() == 1000.0
-    assert inlet.info().get_channel_labels() == list(bridge.CHANNELS)
-    assert np.shape(samples) == (1000, len(bridge.CHANNELS))
+    assert inlet.info().get_channel_labels() == list(network.CHANNELS)
+    assert np.shape(samples) == (1000, len(network.CHANNELS))
     assert np.diff(stamps) == pytest.approx(1e-3, abs=1e-9)

@@ -12,7 +12,7 @@ from support.client_double import RECEIPT, ClientDouble
 
 import hapticd.__main__ as entry
 from hapticd import __version__
-from hapticd.cli import change, daemon, lease, system, terminal
+from hapticd.cli import change, daemon, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import fast_stop
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
@@ -688,7 +688,7 @@ HELD = {
 def test_leases_are_shown_with_holder_and_time(
     client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    monkeypatch.setattr(change, "connect", lambda instance: client)
     client.states = [{"leases": HELD}]
     assert main(["lease", "show"]) == 0
     assert capsys.readouterr().out == (
@@ -726,7 +726,7 @@ def test_release_takes_over_and_leaves_it_to_anyone(
 ) -> None:
     done: list[str] = []
     asked: list[Any] = []
-    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    monkeypatch.setattr(change, "connect", lambda instance: client)
     client.states = [{"leases": HELD}]
     client.lease = lambda *what, **how: asked.append((what, how)) or LeaseDouble(done)  # type: ignore[attr-defined,func-returns-value]
     assert main(["lease", "release", "measuring"]) == 0
@@ -740,7 +740,7 @@ def test_take_holds_until_ctrl_c_and_releases(
     client: ClientDouble, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
-    monkeypatch.setattr(lease, "connect", lambda instance: client)
+    monkeypatch.setattr(change, "connect", lambda instance: client)
     client.lease = lambda *what, **how: LeaseDouble(done)  # type: ignore[attr-defined]
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     try:

@@ -13,7 +13,7 @@ from support.client_double import ClientDouble
 from support.daemon import Daemon
 from support.guard_device import change, shipped_judge
 
-from hapticd.cli import guard as guard_verb
+from hapticd.cli import change as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.formatting import guard_line, objection_lines, receipt_text, timing_words
@@ -187,7 +187,7 @@ def test_guard_waits_for_the_verdict_on_what_is_in_force(
     answers = [GUARD | {"verdict": None}, GUARD | {"verdict": None}, GUARD]
     told = (answer_of(GuardStatus, one) for one in answers)
     monkeypatch.setattr(double, "guard", lambda *what, **more: next(told))
-    monkeypatch.setattr("hapticd.cli.guard.time.sleep", lambda seconds: None)
+    monkeypatch.setattr("hapticd.cli.change.time.sleep", lambda seconds: None)
     assert main(["guard"]) == 0
     assert list(told) == []
     assert VERDICT["text"] in capsys.readouterr().out

@@ -14,7 +14,7 @@ from support import cli_mistakes
 from support.cli_mistakes import CommandServerClient, Mistake, answer_lines, mistakes, noted
 from support.gateway_rig import CommandServerRig
 
-from hapticd.cli import change, daemon, guard, lease, recording
+from hapticd.cli import change, daemon, recording
 from hapticd.cli.app import main
 from hapticd.client import fast_stop
 
@@ -58,7 +58,7 @@ def connect_to_command_server(state: str, folder: Path, monkeypatch: pytest.Monk
     rig = CommandServerRig(folder)
     for cmd in WAY_TO[state]:
         rig.ask(cmd=cmd)
-    for module in (change, daemon, guard, lease, recording):
+    for module in (change, daemon, change, change, recording):
         monkeypatch.setattr(
             module, "connect", lambda instance, timeout_s=2.0: CommandServerClient(rig)
         )

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from support.client_double import ClientDouble
 
-from hapticd.cli import change, daemon, guard
+from hapticd.cli import change, daemon
 from hapticd.cli.app import main
 from hapticd.protocol.answers import GuardStatus
 
@@ -14,7 +14,7 @@ from hapticd.protocol.answers import GuardStatus
 @pytest.fixture
 def client(monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
     double = ClientDouble()
-    for module in (change, daemon, guard):
+    for module in (change, daemon, change):
         monkeypatch.setattr(module, "connect", lambda instance, timeout_s=2.0: double)
     return double
 

@@ -16,7 +16,7 @@ from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 from support.sim_usbip import DEADLINE_S
 from support.usbip_client import DEVICE_BYTES, DEVICES, VENDOR_IN, Client, exactly
 
-from hapticd.cli import sim_board
+from hapticd.cli import sim
 from hapticd.cli.app import main
 from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
@@ -333,7 +333,7 @@ def test_address_of_either_family_is_listened_at(
 ) -> None:
     asked: list[object] = []
     listener = mock.Mock(getsockname=lambda: (host, 3240))
-    assert sim_board.address(text) == (host, 3240)
+    assert sim.address(text) == (host, 3240)
     device = make().server._device
     monkeypatch.setattr(
         socket, "create_server", lambda *where, **how: asked.append((where, how)) or listener

@@ -21,7 +21,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.zwidth.live import signals_end_with_force_off
+from hapticd.cli.zwidth.common import signals_end_with_force_off
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import DeviceParams, ScaleParams
 

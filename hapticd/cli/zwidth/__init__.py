@@ -3,19 +3,19 @@
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.zwidth import limits, map, predict, report, search, trial, walls
+from hapticd.cli.zwidth import limits, map, report, trial
 
 app = typer.Typer(
     no_args_is_help=True,
     help="Measure, predict, map and draw the Z-width: of a rig, a recorded file, or the simulator.",
 )
 VERBS: dict[str, terminal.Verb] = {
-    "predict": predict.command,
+    "predict": limits.predict_command,
     "trial": trial.trial,
-    "limits": limits.command,
-    "map": map.command,
-    "search": search.command,
-    "walls": walls.command,
+    "limits": limits.limits_command,
+    "map": map.map_command,
+    "search": map.search_command,
+    "walls": limits.walls_command,
     "import": trial.import_record,
     "export": report.export,
     "report": report.report,

@@ -1,7 +1,13 @@
-"""K, B and M limits along their axes: predicted, then by simulated trials."""
+"""One environment without a trial: the prediction of theory, in a second.
+
+K, B and M limits along their axes: predicted, then by simulated trials.
+
+Impacts on virtual walls: maximum stiffness of a wall without oscillation, at each damping.
+"""
 
 from functools import partial
-from typing import Annotated
+from math import isfinite, log, sqrt
+from typing import Annotated, Any
 
 import typer
 
@@ -9,12 +15,207 @@ from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
+from hapticd.core.errors import AnalysisError
 
 with deferred_imports():
+    import numpy as np
+
+    from hapticd.model import coupled, linearise, predict
     from hapticd.signal import passive_set
-    from hapticd.zwidth import executors, limits, outcomes, store
-    from hapticd.zwidth.report import paper
+    from hapticd.zwidth import executors, limits, outcomes, sources, store, walls
+    from hapticd.zwidth.report import paper, passive_set
     from hapticd.zwidth.report import passive_set as figures
+
+DEVICE_OF = "fig4"  # default of --scene
+LEFT_OUT = "Source of values that you omit (default: the device of fig4, and 0)."
+OPTION_UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--active-damping": "N s/m"}
+
+
+def predict_command(
+    scene: Annotated[str, typer.Option("--scene", metavar="NAME|FILE", help=LEFT_OUT)] = "",
+    stiffness: common.VirtualStiffness = None,
+    viscous: common.VirtualDamping = None,
+    mass: common.VirtualMass = None,
+    active_damping: common.OneDamping = None,
+    band: common.Band = (2.0, 500.0),
+    as_json: terminal.Json = False,
+) -> None:
+    """Predict whether one environment is passive: for every input, in a trial, and held by a
+    passive hand.
+
+    The theorem (Colgate and Schenkel, for all images of a composed device) leaves friction out and
+    holds for every input. The prediction counts friction at the amplitude of the trials, which
+    fades as the motion grows. Where the theorem finds too little damping, the command builds and
+    tries the passive hand that makes the display unstable. K < 0 is always refused.
+    """
+    shown = sources.display(common.scene_of(scene or DEVICE_OF))
+    asked = sources.given(
+        (stiffness, viscous, mass), active_damping, shown.scene if scene else None, bool(scene)
+    )
+    k, b, m = asked.free
+    level = asked.active_damping_ns_per_m
+    _require_finite({"-K": k, "-B": b, "-M": m, "--active-damping": level})
+    common.require_within(
+        scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
+    )
+    found = coupled.forecast(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
+    drive = shown.model.drive
+    about: dict[str, Any] = {"simulated": True, "device": shown.scene.device}
+    lines = [
+        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, active"
+        f" damping {level:g} N s/m"
+    ]
+    lines += [f"{name:11} {words}" for name, words in _lines(found, shown.perturbation)]
+    if drive:
+        about["amplifier_limit_n"] = drive.limit_n
+        lines.append(f"not covered an amplifier at its limit, {drive.limit_n:.3g} N in all")
+    terminal.show({**about, **_forecast_json(found, (k, b, m), level)}, lines, as_json)
+
+
+def _require_finite(values: dict[str, float]) -> None:
+    for option, value in values.items():
+        if not isfinite(value):
+            raise typer.BadParameter(
+                f"{option} {value:g}: a finite number of {OPTION_UNITS[option]} is needed"
+            )
+
+
+def _lines(
+    found: "coupled.Forecast", perturbation: "linearise.Perturbation"
+) -> list[tuple[str, str]]:
+    motion = _motion(found.radius, found.period_s)
+    prediction = f"{_least(found.true)}, {_friction(found.true)}"
+    return [
+        ("verdict", _verdict(found)),
+        ("stability", f"spectral radius {found.radius:.6f} without friction: {motion}"),
+        ("theorem", _theorem(found)),
+        ("prediction", f"{prediction}\n{'':11} {_amplitude(perturbation)}"),
+        ("a trial", f"would record {_least(found.recorded)}"),
+        ("hand", _hand(found)),
+    ]
+
+
+def _verdict(found: "coupled.Forecast") -> str:
+    prediction = found.true
+    if found.refused:
+        seen = "" if prediction.margin_ns_per_m[0] < 0.0 else ", though Re Z >= 0 all over the band"
+        return f"refused: a negative K is active at low frequencies under any damping{seen}"
+    if not found.passive:
+        if prediction.margin_ns_per_m[0] < 0.0:
+            return "not passive"
+        why = "the loop is unstable" if prediction.calm[0] else "a burst of motion does not die out"
+        return f"not passive: Re Z >= 0 all over the band, but {why}"
+    if found.theorem_passive:
+        return "passive, for every input and in every passive hand"
+    return "passive at the amplitude of a trial, not for every input: the theorem differs"
+
+
+def _motion(radius: float, period_s: float) -> str:
+    if radius == 1.0 or radius <= 0.0:
+        return "motion neither grows nor dies out" if radius else "motion ends at once"
+    seconds = period_s * log(2.0) / abs(log(radius))
+    how = "dies out, halving" if radius < 1.0 else "grows, doubling"
+    return f"motion {how} in {seconds:.3g} s"
+
+
+def _theorem(found: "coupled.Forecast") -> str:
+    if found.refused or not found.stable:
+        return "no answer: it presumes K >= 0 and a stable loop"
+    if found.theorem_passive:
+        return f"{found.theorem_margin:.3g} N s/m to spare for every input, without friction"
+    return f"{-found.theorem_margin:.3g} N s/m missing without friction"
+
+
+def _least(prediction: "predict.Prediction") -> str:
+    return (
+        f"least Re Z {prediction.margin_ns_per_m[0]:+.3g} N s/m at {prediction.worst_hz[0]:.3g} Hz"
+    )
+
+
+def _friction(prediction: "predict.Prediction") -> str:
+    counts = prediction.friction_ns_per_m[0]
+    return f"friction counting for {counts:.3g} N s/m" if counts else "no friction"
+
+
+def _amplitude(perturbation: "linearise.Perturbation") -> str:
+    density, band_hz = perturbation.psd_n2_per_hz, perturbation.band_hz
+    force_n = sqrt(density * band_hz)
+    return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
+
+
+def _hand(found: "coupled.Forecast") -> str:
+    if found.refused or not found.stable:
+        return "none is needed: it is unstable without a hand" if not found.stable else "not sought"
+    if found.withstands:
+        return "no passive hand brings it to oscillate, even without friction"
+    if found.shaker is None:
+        return "one exists that brings it to oscillate without friction; none was built"
+    shaker = found.shaker
+    grows = _motion(shaker.radius, found.period_s)
+    return f"{_named(shaker.hand)} shakes it at about {shaker.hz:.3g} Hz without friction: {grows}"
+
+
+def _named(hand: "coupled.Hand") -> str:
+    """Describe its largest part; the tuned masses only serve images."""
+    mass = float(hand.mass_kg[0])
+    grounded = float(hand.stiffness_n_per_m[0].sum())
+    main = (
+        f"a mass of {1e3 * mass:.3g} g" if mass else f"a spring of {grounded:.3g} N/m to the wall"
+    )
+    return f"{main} with {hand.mass_kg.size - 1} small tuned masses"
+
+
+def _forecast_json(
+    found: "coupled.Forecast", point: tuple[float, float, float], level: float
+) -> dict[str, Any]:
+    perturbation = found.true.perturbation
+    numbers: dict[str, Any] = {
+        "environment": point,
+        "active_damping_ns_per_m": level,
+        "verdict": _verdict(found),
+        "passive": found.passive,
+        "refused": found.refused,
+        "spectral_radius": found.radius,
+        "theorem": {"margin_ns_per_m": found.theorem_margin, "passive": found.theorem_passive},
+        "prediction": _judged(found.true),
+        "recorded": _judged(found.recorded),
+        "perturbation": (
+            perturbation
+            and {"psd_n2_per_hz": perturbation.psd_n2_per_hz, "band_hz": perturbation.band_hz}
+        ),
+        "withstands_every_hand": found.withstands,
+        "hand": _built(found),
+    }
+    return {name: store.to_json(value) for name, value in numbers.items()}
+
+
+def _judged(prediction: "predict.Prediction") -> dict[str, Any]:
+    names = (
+        "margin_ns_per_m",
+        "margin_deg",
+        "worst_hz",
+        "friction_ns_per_m",
+        "velocity_sd",
+        "spectral_radius",
+    )
+    return {
+        "passive": bool(prediction.passive[0]),
+        **{name: float(getattr(prediction, name)[0]) for name in names},
+    }
+
+
+def _built(found: "coupled.Forecast") -> dict[str, Any] | None:
+    if found.shaker is None:
+        return None
+    hand = found.shaker.hand
+    return {
+        "hz": found.shaker.hz,
+        "impedance_ns_per_m": hand.impedance(np.array([2j * np.pi * found.shaker.hz]))[0],
+        "spectral_radius": found.shaker.radius,
+        "mass_kg": hand.mass_kg.tolist(),
+        "damping_ns_per_m": hand.damping_ns_per_m.tolist(),
+        "stiffness_n_per_m": hand.stiffness_n_per_m.tolist(),
+    }
 
 
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
@@ -37,7 +238,7 @@ NOTE = (
 )
 
 
-def command(
+def limits_command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
     amplitudes: Annotated[
@@ -125,3 +326,85 @@ def _row(limit: "limits.AxisLimit", scattered: bool) -> tuple[str | float, ...]:
         limit.trials,
         *((factor * limit.sd,) if scattered else ()),
     )
+
+
+Stiffness = Annotated[
+    common.Range,
+    typer.Option(
+        "--stiffness",
+        metavar="LOW HIGH N",
+        help="Stiffness of the walls, N/m, evenly spaced in ln K.",
+    ),
+]
+
+
+def walls_command(
+    scene: common.SceneName = "wall",
+    active_damping: common.Damping = "0,1.74",
+    stiffness: Stiffness = (20.0, 3000.0, 18),
+    viscous: Annotated[
+        common.Range,
+        typer.Option(
+            "--viscous", metavar="LOW HIGH N", help="Virtual damping of the walls, N s/m."
+        ),
+    ] = (0.0, 8.0, 13),
+    settle_s: Annotated[
+        float, typer.Option("--settle-s", metavar="S", help="Time allowed to come to rest.")
+    ] = 1.5,
+    still: Annotated[
+        float, typer.Option("--still", metavar="M/S", help="Oscillation speed that counts as rest.")
+    ] = 2e-3,
+    out: common.Out = None,
+    plot: common.Plot = True,
+    figure_width: terminal.FigureWidth = None,
+    as_json: terminal.Json = False,
+) -> None:
+    """Find how stiff a virtual wall may be at each virtual damping before an impact makes it
+    oscillate: the K-B plot of one device.
+    """
+    terminal.need_engine(plot)
+    stiffnesses, dampings = _grid(stiffness, viscous)
+    params = walls.WallMapParams(
+        common.scene_of(scene),
+        stiffnesses,
+        dampings,
+        common.levels(active_damping),
+        settle_s,
+        still,
+    )
+    plan = walls.plan_walls(params)
+    with common.interruptible(), progress() as tell:
+        result = walls.run_walls(plan, tell)
+    folder = common.folder(out, "walls")
+    common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
+    figure = partial(figures.walls_figure, result, width_mm=figure_width)
+    paths = common.drawn(folder, "walls", figure, plot)
+    found = {"lines": store.to_json(result.lines)}
+    common.show_result(found, [paper.text(_walls_table(result, dampings))], folder, paths, as_json)
+
+
+def _grid(
+    stiffness: common.Range, viscous: common.Range
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return stiffnesses [N/m] and dampings [N s/m] of the walls. AnalysisError unless K is above
+    0.
+    """
+    low, high, count = common.ranged("--stiffness", stiffness, 1)
+    if low <= 0.0:
+        raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
+    dampings = np.linspace(*common.ranged("--viscous", viscous, 1))
+    return tuple(np.geomspace(low, high, count).tolist()), tuple(dampings.tolist())
+
+
+def _walls_table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "paper.Table":
+    """Return a row for each damping of the wall, a column for each level of active damping."""
+    params = result.plan.params
+    rows: list[tuple[str | float, ...]] = []
+    for place, damping in enumerate(dampings):
+        lines = result.lines[place :: len(dampings)]
+        rows.append(
+            (damping, *(f"{'>' if one.open else ''}{one.highest_n_per_m:.3g}" for one in lines))
+        )
+    columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in params.levels))
+    title = f"SIMULATED {params.scene.device}: stiffest stable wall, by active damping"
+    return paper.table(columns, rows, title)

@@ -20,7 +20,7 @@ from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
-from hapticd.cli.zwidth.live import announce, open_rig
+from hapticd.cli.zwidth.common import announce, open_rig
 
 with deferred_imports():
     import numpy as np
