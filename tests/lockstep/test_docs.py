@@ -195,7 +195,7 @@ def exists(name: str) -> bool:
         ("from `hapticd.signal.spa`", ["signal.spa"]),
         ("| `hapticd.zwidth.trial`, `.limits`, `.campaign` | |", ["zwidth.campaign"]),
         ("see `measure.trial` and `zwidth.trial`", ["measure.trial"]),
-        ("`model.stability.damping_floor`", ["model.stability.damping_floor"]),
+        ("`model.theorem.damping_floor`", ["model.theorem.damping_floor"]),
         (
             "in hapticd/sim/engine/job.py, not hapticd/zwidth/engine/job.py",
             ["hapticd/sim/engine/job.py"],

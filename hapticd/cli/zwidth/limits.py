@@ -23,7 +23,7 @@ with deferred_imports():
     from hapticd.model import coupled, linearise, predict
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, sources, store, walls
-    from hapticd.zwidth.report import paper, passive_set
+    from hapticd.zwidth.report import paper
     from hapticd.zwidth.report import passive_set as figures
 
 DEVICE_OF = "fig4"  # default of --scene
