@@ -83,8 +83,7 @@ class GuardDouble(ClientDouble):
 @pytest.fixture
 def double(monkeypatch: pytest.MonkeyPatch) -> GuardDouble:
     double = GuardDouble()
-    for module in ("change", "guard"):
-        monkeypatch.setattr(f"hapticd.cli.{module}.connect", lambda instance: double)
+    monkeypatch.setattr("hapticd.cli.change.connect", lambda instance: double)
     return double
 
 
