@@ -1,33 +1,28 @@
-"""Convert between bytes and frames, with the CRC.
+"""The protocol of a board on USB: interface of a link, frames with their CRC, and session.
 
-There are two forms of the same rules. `encode_*`/`decode_*` give named values and clear errors, for
-boards, tests and tools. `out_packer`/`in_parser` work in place on the servo's two buffers, so that
-a tick allocates nothing that outlives it. A frame is accepted or refused as a whole: length, CRC,
-count and axis must be right. Reserved bytes and samples beyond the count are sent as 0 and ignored
-on receipt. The field order must be that of `frames` (the packers use the same Struct objects). A
-buffer must be refilled, not replaced (both keep memoryviews of their buffer). The caller must
-detect a short read (`in_parser` otherwise reads the frame of the tick before).
+Link (`Link`). Real and simulated boards share this interface: no caller distinguishes them.
 
-The session with a board: handshake, sequence of frames, and numbers that wrap.
+Frames. There are two forms of the same rules. `encode_*`/`decode_*` give named values and clear
+errors, for boards, tests and tools. `out_packer`/`in_parser` work in place on the servo's two
+buffers, so that a tick allocates nothing that outlives it. A frame is accepted or refused as a
+whole: length, CRC, count and axis must be right. Reserved bytes and samples beyond the count are
+sent as 0 and ignored on receipt. The field order must be that of `frames` (the packers use the same
+Struct objects). A buffer must be refilled, not replaced (both keep memoryviews of their buffer).
+The caller must detect a short read (`in_parser` otherwise reads the frame of the tick before).
 
-Handshake. `greet` checks a board's first reply. No other frame is sent before the board has replied
-to hello with the hash of this package's header; a lost board must reply again.
+Handshake (`greet`). It checks a board's first reply. No other frame is sent before the board has
+replied to hello with the hash of this package's header; a lost board must reply again.
 
-Sequence. Frames count modulo 2**16. USB keeps the order, so only buffered frames arrive late. The
-last BACKWARD numbers are late frames; every other distance forward is a gap. With half the circle
-each way, a board that restarted its count would seem late for up to 32768 frames; here it is one
-gap. More than 65470 lost frames (8 s at 8 kHz) cannot be distinguished from late ones: the link is
-given up long before.
+Sequence (`lost_between`). Frames count modulo 2**16. USB keeps the order, so only buffered frames
+arrive late. The last BACKWARD numbers are late frames; every other distance forward is a gap. With
+half the circle each way, a board that restarted its count would seem late for up to 32768 frames;
+here it is one gap. More than 65470 lost frames (8 s at 8 kHz) cannot be distinguished from late
+ones: the link is given up long before.
 
-Wrapping. A reading represents the integer nearest to the one before it. This is unique while less
-than half a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1
-km of travel at 0.5 um.
-
-A `previous` must not be kept across a re-plug (unwrap again from the first reading).
-
-The interface of every link to a board.
-
-Real and simulated boards share it: no caller distinguishes them.
+Wrapping (`unwrap`). A reading represents the integer nearest to the one before it. This is unique
+while less than half a period passes between two readings: 35 minutes of board time, 6 days of probe
+indices, 1 km of travel at 0.5 um. A `previous` must not be kept across a re-plug (unwrap again from
+the first reading).
 """
 
 import struct
@@ -69,6 +64,8 @@ __all__ = [
     "encode_out",
     "unwrap",
 ]
+
+# --- link -----------------------------------------------------------------------------------------
 
 VENDOR_CLASS = 0xFF  # of the board's interface
 VENDOR_IN = 0xC0  # bmRequestType of requests to it
@@ -126,6 +123,8 @@ def backoff_s(attempt: int) -> float:
     """
     return min(1.0, 0.05 * 2.0 ** min(attempt, 10))
 
+
+# --- frames ---------------------------------------------------------------------------------------
 
 # ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
 # scale factor is not
@@ -380,6 +379,8 @@ def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
 
     return parse
 
+
+# --- session --------------------------------------------------------------------------------------
 
 SEQ_BITS = 16
 BOARD_TIME_BITS = 32

@@ -1,6 +1,6 @@
-"""A connected board: link, protocol session and buffers in one, for one exchange per tick.
+"""A connected board: its link, session, buffers and pin events, for one exchange per tick.
 
-`receive` returns the newest IN frame and its arrival:
+Exchange (`Device`). `receive` returns the newest IN frame and its arrival:
 
     0       the next frame, on time
     k > 0   the first frame after k lost samples
@@ -16,8 +16,8 @@ OUT. A frame that echoes an earlier OUT has waited in a queue, and a newer one f
 already arrived, so reading it takes no time. If it has not (that OUT was lost too), the read was in
 vain. It is then not repeated for some ticks, and after that it is: otherwise a link that fell
 behind during a disturbance would stay behind. A tick with only old frames has no sample. A packet
-of zero length, which a USB stack may append to a full one, is not a frame: it is counted, and the
-next frame is read in the same tick. No buffer holds session.BACKWARD ticks: if a clock is still
+of zero length, which a USB stack may append to a full one, is not a frame. It is counted, and the
+next frame is read in the same tick. No buffer holds `codec.BACKWARD` ticks: if a clock is still
 behind after that many, the board has restarted, and the frame seeds.
 
 Each frame contains the OUT whose torque is in effect, and for how long. `send` stores the board
@@ -31,14 +31,13 @@ every other to the codec: `in_parser` examines any other frame as a whole. LinkL
 smaller failures are counted and handled here. One task must call it, and buffers must not be
 replaced.
 
-Events at the board's pins, with their times on the clock of the samples.
-
-An event is a sync pulse or a code of a stimulus computer, an EEG amplifier or an eye tracker. Every
-frame contains one event: its number, its code, and its age at the latch. The board repeats each in
-two frames, so a lost frame loses no event. An event counts once, when its number first appears. A
-step of more than 1 gives the number of lost events; the number has 8 bits, so a loss of 256 events
-is not detected. The event in the first frame of a life of the board happened before it and is not
-recorded. A board that returns in the same life continues its numbers.
+Events at the board's pins (`PinEvents`). An event is a sync pulse or a code of a stimulus computer,
+an EEG amplifier or an eye tracker. Every frame contains one: its number, its code, and its age at
+the latch. The board repeats each in two frames, so a lost frame loses no event. An event counts
+once, when its number first appears. A step of more than 1 gives the number of lost events; the
+number has 8 bits, so a loss of 256 events is not detected. The event in the first frame of a life
+of the board happened before it and is not recorded. A board that returns in the same life continues
+its numbers.
 
 The time is that of the change, by the board's clock, like `board_us` of the sample: the two need no
 clock of the host. An age at the end of its 16 bits gives no time.
@@ -73,6 +72,8 @@ from hapticd.usb.frames import Capability, HelloFrame, Request
 
 __all__ = ["NO_CODE", "NO_HEAD", "NO_TIME_US", "SEED", "UNKNOWN_US", "Device", "Head"]
 
+# --- events at the board's pins -------------------------------------------------------------------
+
 NUMBERS = 256
 NO_CODE = -1
 NO_TIME_US = -1
@@ -106,6 +107,8 @@ class PinEvents:
         time_us = board_us - age_us if age_us < U16_HIGHEST else NO_TIME_US
         return time_us, head[HEAD_EVENT_CODE]
 
+
+# --- exchange -------------------------------------------------------------------------------------
 
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20

@@ -1,13 +1,12 @@
-"""Transfers in flight: the IN of the next sample and the OUT of this tick are in progress while the
-servo computes and sleeps.
+"""Transfers in flight: IN and OUT are in progress while the servo computes and sleeps.
 
-With transfers one after the other, a tick waits for its IN, computes, and waits for its OUT: each
-wait includes a submission, the bus, an interrupt and a wake-up. In flight, only the path of the
-force remains:
+The IN is that of the next sample, the OUT that of this tick. With transfers one after the other, a
+tick waits for its IN, computes, and waits for its OUT. Each wait includes a submission, the bus, an
+interrupt and a wake-up. In flight, only the path of the force remains:
 
     board latches -> IN on the wire -> kernel has it | deadline: law | submission, OUT on the wire
 
-The rules, which bound the effect of a transfer on a tick:
+Rules (`InFlight`). They bound the effect of a transfer on a tick:
 
     one IN      submitted just before the OUT that triggers its sample, reaped when due. Never a
                 second one: a spare would take a frame that a newer one should replace.
@@ -18,17 +17,15 @@ The rules, which bound the effect of a transfer on a tick:
     no cancel   in a tick: a cancelled OUT may have been delivered, a cancelled IN acknowledged.
                 Only the close of a link cancels, after the last OUT has had the time-out.
 
-Both buffers may be reused at once: the kernel copies an OUT when it is submitted and an IN when it
-is reaped. The failure of an OUT is known in the next tick, which has no sample anyway.
+Both buffers may be reused at once: the backend (`Transfers`) copies an OUT when it is submitted and
+an IN when it is reaped. It must not fill the buffer of an IN before that. The failure of an OUT is
+known in the next tick, which has no sample anyway. Limitations: a caller that leaves an IN unread
+for ticks (it is then one frame behind, which `usb.device` skips).
 
-A backend must not fill the buffer of an IN before it is reaped. Limitations: a caller that leaves
-an IN unread for ticks (it is then one frame behind, which `usb.device` skips).
-
-Transfers in flight through Linux's own usbfs: submitted, and reaped when they are done.
-
-libusb and pyusb find the board, read its descriptors and carry its control requests. Its frames use
-a separate descriptor on the same device node, which claims the interface. usbfs keeps claims and
-transfers by descriptor, so libusb never reaps a transfer that it has not submitted.
+Linux's own usbfs (`UsbfsTransfers`). libusb and pyusb find the board, read its descriptors and
+carry its control requests. Its frames use a separate descriptor on the same device node, which
+claims the interface. Claims and transfers belong to a descriptor, so libusb never reaps a transfer
+that it has not submitted.
 
     SUBMITURB        starts one transfer; the bytes of an OUT are copied
     REAPURBNDELAY    returns a completed transfer, in the order of completion; the bytes of an IN
@@ -58,6 +55,8 @@ import usb.core
 
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.usb.frames import PACKET_BYTES
+
+# --- rules ----------------------------------------------------------------------------------------
 
 
 class Transfers(Protocol):
@@ -169,6 +168,8 @@ def _pending() -> Exception:
     error: Exception = usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
     return error
 
+
+# --- usbfs ----------------------------------------------------------------------------------------
 
 PENDING = -1
 BULK = 3  # USBDEVFS_URB_TYPE_*

@@ -1,26 +1,20 @@
-"""A board before its first tick: it is looked for, what it says is compared with its device file,
-and the time of its bus is measured.
+"""The start with a board: search, comparison with its device file, and transfer times of its bus.
 
-Search for a board that is absent or not ready, with growing pauses, without end, and with a
-reason.
-
-A board that was just plugged in may appear before udev has granted access, or be slow to answer its
-first request. It may also still run its boot loader, which stalls that request or sends a hello
-with another hash. The board then leaves the bus and returns. All of these conditions pass, and so
-does a claim by another program. Each failed attempt has a reason; a reason is reported when it
-differs from the last one, and "" when the board answers.
+Search (`BoardSearch`). A board that is absent or not ready is searched for without end, with
+growing pauses. A board that was just plugged in may appear before udev has granted access, or be
+slow to answer its first request. It may also still run its boot loader, which stalls that request
+or sends a hello with another hash. The board then leaves the bus and returns. All of these
+conditions pass, and so does a claim by another program. Each failed attempt has a reason. A reason
+is reported when it differs from the last one, and "" when the board answers. So a reason must not
+change with every attempt (a count, a time).
 
 A persistent wrong hash does not pass: the user must flash or install something. A start waits
 `MISMATCH_NS` for another answer; a running servo continues to search.
 
-A reason must not change with every attempt (a count, a time), because each new one is reported.
-
-Compare the hello of a board with its device file.
-
-The hello reply contains nominal full scales, limits and capabilities. The device file contains the
-calibrated ones, from which everything else is computed. A board of another range, or another board,
-differs by far more than a calibration corrects, and every computed force would be wrong. Allowed
-differences:
+Comparison (`differences`). The hello reply contains nominal full scales, limits and capabilities.
+The device file contains the calibrated ones, from which everything else is computed. A board of
+another range, or another board, differs by far more than a calibration corrects, and every computed
+force would be wrong. Allowed differences:
 
     a scale that was typed in     a tenth
     a scale that was measured     (by `hapticd rig`, on this board) a factor of MOST_CORRECTION:
@@ -34,14 +28,11 @@ differences:
                                   signs, which must be verified again
 
 NaN never agrees. The rate must also be high enough for the board's samples (`probe_shortage`).
-
 Limitations: a scale that the hello reply does not contain (back-EMF velocity, temperature); a
 nominal scale that is wrong by the same factor as a mistyped mass of a step.
 
-Measure the transfer times of the bus between host and board, and set the sample phase
-accordingly.
-
-A tick reads the latched IN, computes, and writes the OUT; the board latches the next IN one phase
+Transfer times (`settle_transport`). They are measured, and the sample phase is set accordingly. A
+tick reads the latched IN, computes, and writes the OUT; the board latches the next IN one phase
 after it has accepted that. The ticks are on time if
 
     phase + IN transfer + step + OUT transfer  <=  period
@@ -62,10 +53,9 @@ makes its tick wait and its force act later, and costs no slot.
 
 The first check is whether there is a bus, by a control transfer, which no board counts: an answer
 within 100 us comes from the same process. Only then are frames exchanged, all without torque: an
-OUT, a pause of a period for its IN to arrive, and the read.
-
-Limitations: a board whose control transfers are faster than its frames; a bus that became busier
-between measurement and use (the delay in each record would show it).
+OUT, a pause of a period for its IN to arrive, and the read. Limitations: a board whose control
+transfers are faster than its frames; a bus that became busier between measurement and use (the
+delay in each record would show it).
 """
 
 from collections.abc import Callable
@@ -82,6 +72,8 @@ from hapticd.usb.device import Device
 from hapticd.usb.frames import PAIR_MAX, Capability, HelloFrame, Request
 
 __all__ = ["BoardSearch", "Tell", "Transport", "differences", "probe_shortage", "settle_transport"]
+
+# --- search ---------------------------------------------------------------------------------------
 
 MISMATCH_NS = 30 * NS_PER_S  # boot loaders wait for seconds, and flashing takes half a minute
 Tell = Callable[[str], None]
@@ -138,6 +130,8 @@ class BoardSearch:
             self.reason = reason
             self._tell(reason)
 
+
+# --- comparison with the device file --------------------------------------------------------------
 
 TOLERANCE = 0.1  # of the device file's number, if it was not measured
 
@@ -266,6 +260,8 @@ def _limit(hello: HelloFrame, device: DeviceParams, force: Stated) -> Stated:
 def _relied_on(device: DeviceParams) -> tuple[str, ...]:
     return device.relies_on + (("index",) if device.home.method == "index" else ())
 
+
+# --- transfer times -------------------------------------------------------------------------------
 
 USUAL_PHASE = 0.875  # of a period: default of a board (firmware_iface/PROTOCOL.md)
 PHASES = 16  # in a period
