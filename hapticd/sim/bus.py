@@ -1,6 +1,9 @@
-"""A model of full-speed USB behind an xHCI controller, on the clock of the simulation.
+"""Simulated USB: a full-speed bus, asynchronous transfers over it, and the errors of libusb.
 
-A frame of 1 ms begins with its SOF, on a separate clock, and then carries the periodic transfers of
+Errors (`usb_error`). Numbers, codes and texts are those of pyusb on libusb 1.0 on Linux.
+
+Bus (`FullSpeedBus`). Full-speed USB behind an xHCI controller, on the clock of the simulation. A
+frame of 1 ms begins with its SOF, on a separate clock, and then carries the periodic transfers of
 other devices. Bulk transfers follow as soon as there is room, and no transaction crosses the end of
 a frame.
 
@@ -19,30 +22,22 @@ a frame.
                   the wake-up's 13 us (cyclictest) and its system calls.
 
 Checks of the model: 19 packets of 64 bytes fit into a frame (USB 2.0, table 5-9). 1,024 bytes of
-bulk take 1.68 ms out and 1.35 ms in on an STM32 with one buffer (zephyr #97729), which answers each
+bulk take 1.68 ms out and 1.35 ms in on an STM32 with one buffer (zephyr #97729). It answers each
 OUT with NAK once and is ready again about 30 us after each packet. One interrupt transfer at a time
 takes 0.5 to 1 ms (rusb #21). All results of this model are labelled "model" and stated as a band
-over `BAND`, since no bus was measured for it.
+over `BAND`, since no bus was measured for it. Limitations: transfers of more than one packet, two
+of one direction at once, a controller that serves bulk by microframes only.
 
-Limitations: transfers of more than one packet, two of one direction at once, a controller that
-serves bulk by microframes only.
-
-Asynchronous transfers of the simulated board.
-
-It implements the interface of `usb.flight` to a backend: one OUT and one IN are submitted, and
-reaped when they are complete. The bus determines when each packet is on the wire. There
-is no background activity: whenever the host polls, `play` performs the past events in the order of
-time. A waiting IN takes the first frame of the board, an OUT reaches the board when it has passed
-the bus.
+Asynchronous transfers (`Flight`). They implement the interface of `usb.flight` to a backend: one
+OUT and one IN are submitted, and reaped when they are complete. The bus determines when each packet
+is on the wire. There is no background activity: whenever the host polls, `play` performs the past
+events in the order of time. A waiting IN takes the first frame of the board, an OUT reaches the
+board when it has passed the bus.
 
 As in usbfs, an OUT is copied when it is submitted and an IN when it is reaped. An OUT that meets
 NAK stays pending, and is retried whenever the host polls. A failed transfer ends with its error;
-one of a removed device ends with ENODEV.
-
-Limitations: the board's state between two polls of the host is not updated. A board must have one
-owner.
-
-Errors of pyusb on libusb 1.0 on Linux: their numbers, codes and texts.
+one of a removed device ends with ENODEV. A board must have one owner. Limitations: the board's
+state between two polls of the host is not updated.
 """
 
 import errno
@@ -60,6 +55,9 @@ from hapticd.usb.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
 
 if TYPE_CHECKING:
     from hapticd.sim.backend import PluggedDevice, SimulatedBackend
+
+
+# --- errors ---------------------------------------------------------------------------------------
 
 LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
     errno.EIO: (-1, "Input/Output Error"),
@@ -89,6 +87,8 @@ def usb_error(number: int) -> Exception:
     )
     return error
 
+
+# --- bus ------------------------------------------------------------------------------------------
 
 MICROFRAMES = 8  # in a frame
 BIT_NS = 1000.0 / 12.0
@@ -251,6 +251,7 @@ class FullSpeedBus:
 
 Bus = FixedBus | FullSpeedBus
 
+# --- asynchronous transfers -----------------------------------------------------------------------
 
 PENDING = -1  # in place of the number of bytes
 EVER_NS = 1 << 62

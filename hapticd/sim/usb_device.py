@@ -1,23 +1,18 @@
-"""The simulated board as seen by a real host controller: transfers end with data, end with an
-error, or stay pending.
+"""The simulated board as seen by a real host controller: its descriptors and its transfers.
 
-The pyusb backend replaces libusb. Here the host's own USB stack is above, so this is one layer
-deeper: the standard requests of endpoint 0 (USB 2.0, chapter 9.4), halts, and packets. Board and
-faults are the same: `Port` is a BoardModel or an Injector around it, and its errors become those of
-a controller. EIO is a broken transaction (EPROTO), a packet longer than the endpoint's is babble
-(EOVERFLOW), a hanging firmware is an endpoint that answers NAK: the transfer waits until the host
-cancels it.
-
-Limitations: a read of more than one packet, which the first packet ends here.
-
-USB descriptors of the simulated board: a full-speed device with one configuration, one vendor
-interface, one OUT and one IN endpoint of one packet.
-
-For pyusb these are objects with the fields of the USB 2.0 specification (chapter 9.6). On a bus
-they are bytes, which `_packed` makes from the same objects. IndexError beyond the only one of a
-kind: pyusb's iteration relies on it.
-
+Descriptors (`device_descriptor`). They describe a full-speed device with one configuration, one
+vendor interface, one OUT and one IN endpoint of one packet. For pyusb these are objects with the
+fields of the USB 2.0 specification (chapter 9.6). On a bus they are bytes, which `_packed` makes
+from the same objects. IndexError beyond the only one of a kind: pyusb's iteration relies on it.
 Limitations: a second interface, or endpoints of several packets.
+
+Transfers (`UsbDevice`). They end with data, end with an error, or stay pending. The pyusb backend
+replaces libusb. Here the host's own USB stack is above, so this is one layer deeper: the standard
+requests of endpoint 0 (USB 2.0, chapter 9.4), halts, and packets. Board and faults are the same:
+`Port` is a BoardModel or an Injector around it, and its errors become those of a controller. EIO is
+a broken transaction (EPROTO). A packet longer than the endpoint's is babble (EOVERFLOW). A hanging
+firmware is an endpoint that answers NAK: the transfer waits until the host cancels it. Limitations:
+a read of more than one packet, which the first packet ends here.
 """
 
 import errno
@@ -34,6 +29,8 @@ from hapticd.usb.codec import VENDOR_CLASS, VENDOR_OUT
 from hapticd.usb.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
 
 __all__ = ["UsbDevice", "check_traits"]
+
+# --- descriptors ----------------------------------------------------------------------------------
 
 Transfer = Literal["bulk", "interrupt"]
 
@@ -151,6 +148,8 @@ def _only(what: str, index: int) -> None:
     if index > 0:
         raise IndexError(f"Invalid {what} index {index}")
 
+
+# --- transfers ------------------------------------------------------------------------------------
 
 DEVICE = 0x01  # types of descriptors
 CONFIGURATION = 0x02
