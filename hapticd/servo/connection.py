@@ -1,25 +1,19 @@
-"""The connection to the board: loss, search, return, and the check of a board that has restarted.
+"""The connection to the board: checks before it may make force, loss, search, and return.
 
-A missing board is searched for with back-off (`usb.search`). Once it answers it is checked as at
-the start. A board that has restarted without leaving the bus may have been
-flashed, and may make no force until it has been checked again. That check waits for a tick without
-force, because each of its requests may take 100 ms. All results are written to servo.report.
+Checks (`check_board`). All run once at every connection. The board's identity is read again
+whenever its firmware has restarted, because the board may have been flashed. No check may run
+between two ticks of a servo that renders: it exchanges frames, and each request may take 100 ms.
 
-No check may run in a tick that renders.
+Two results bar force as long as this board is connected. The hello contradicts the device file, or
+the bus is too slow for the rate of the servo (both `usb.search`). Each is reported by name. Every
+sample carries them as host flags, so a replay has them too. The daemon keeps running, so that you
+can read the results. A check that fails, or that has not run yet, bars force as well, and is
+repeated.
 
-Checks of a board before it may make force.
-
-All checks run once at every connection. The board's identity is read again whenever its firmware
-has restarted, because the board may have been flashed.
-
-Two results bar force as long as this board is connected, and each is reported by name: the hello
-contradicts the device file (`usb.search`), or the bus is too slow for the rate of the servo
-(`usb.search`). Every sample carries them as host flags, so a replay has them too. The daemon
-keeps running, so that you can read the results. A check that fails, or that has not run yet, bars
-force as well, and is repeated.
-
-No call may come between two ticks of a servo that renders (a check exchanges frames, and a request
-may take 100 ms).
+Loss and return (`BoardConnection`). A missing board is searched for with back-off (`usb.search`).
+Once it answers it is checked as at the start. A board that has restarted without leaving the bus
+may make no force until it has been checked again. That check waits for a tick without force. All
+results are written to servo.report.
 """
 
 from math import nan
@@ -52,6 +46,8 @@ from hapticd.usb.search import (
     probe_shortage,
     settle_transport,
 )
+
+# --- checks ---------------------------------------------------------------------------------------
 
 NOT_LOOKED_AT: Final = -1  # in place of the number of a life
 STARTED_ANEW: Final = "the board has restarted and is not yet identified"
@@ -158,6 +154,9 @@ def uncompensated(capabilities: int) -> str:
             "the board has no resistance DAC: damping and force get weaker as the winding warms up"
         )
     return ""
+
+
+# --- loss and return ------------------------------------------------------------------------------
 
 
 class BoardConnection:

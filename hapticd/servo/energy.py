@@ -1,35 +1,11 @@
-"""What a display may give out, by force and by energy: the limit on the force step of a change, the
-budget of ramps, and the controller that ends a leak.
+"""Limits on what a display may give out: energy of ramps, force step of a change, energy leaks.
 
-The limit on parameter changes in one tick: the force steps no further than the device file
-allows.
-
-    |F(x, v, a; parameters of this tick) - F(x, v, a; those of the last)| <= limits.force_step_n
-
-Both are the law at the sample of this tick. The limit therefore applies to the step of an enable or
-of a change of parameters, and not to an impact on a stiff wall. If that step is too large, all
-ramping values, the gain included, move by a share of it and continue in the next tick. A ramp then
-ends later than requested, and records show the values in force. A change that removes the whole
-force (disable, stop, fault, the ramp from 0 after a gap) is not held back. Without a sample the
-force is held, and during a stop or fault the acting force ramps down. In both cases the parameters
-wait.
-
-The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
-is computed again with changes of decreasing values only.
-
-The force is continuous in the share, but neither monotonic nor linear (clamp, walls, gain times
-value), so bisection finds the share. A step lies between half the bound and the bound, and any
-change completes.
-
-The force must be a continuous function of its parameters, and parameters must change on a ramp.
-
-The energy that changes of parameters add, and the budget that makes ramps wait.
-
-A display that is passive at every instant may still be pumped. A spring gives energy to the hand if
-it stiffens while deflected and softens while not. A fixed rhythm reaches that phase by itself
-(parametric resonance). Example: a spring on 1 kg ramps from 40 to 380 N/m and back, each in 50 ms
-and every 110 ms. The motion grows by a factor of 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of
-work shows this, because the energy that a ramp adds is not lost.
+Energy of ramps (`booked`, `paused`). A display that is passive at every instant may still be
+pumped. A spring gives energy to the hand if it stiffens while deflected and softens while not. A
+fixed rhythm reaches that phase by itself (parametric resonance). Example: a spring on 1 kg ramps
+from 40 to 380 N/m and back, each in 50 ms and every 110 ms. The motion grows by a factor of 2.08 in
+220 ms; with 2 N s/m by 1.68. No ledger of work shows this, because the energy that a ramp adds is
+not lost.
 
 So each tick books the energy that its change of parameters adds to the energy stored at the present
 position of the handle, element by element:
@@ -49,18 +25,36 @@ the device file. Every value then stays where it is, keeps the rest of its ramp,
 the window frees. Decreases are never held: stiffness and mass on their way down, damping on its way
 to 0, a wall that is removed, and whatever removes the whole force. So in any second a hand gets no
 more than the budget, or the energy of a single tick, which `limits.force_step_n` bounds. The window
-is kept in SHARES of a second, so it is 1.05 s at most.
+is kept in SHARES of a second, so it is 1.05 s at most. A parameter that stores energy must have a
+`power`. Where force acts, parameters must not move past `eased`.
 
-A parameter that stores energy must have a `power`. Where force acts, parameters must not move past
-`eased`.
+Force step (`eased`). Parameter changes in one tick are limited by the step of the force that the
+device file allows.
 
-End an energy leak before it causes the fault `energy`: first with active damping, then with a
-weaker environment.
+    |F(x, v, a; parameters of this tick) - F(x, v, a; those of the last)| <= limits.force_step_n
 
-The ledger's excess E (`render.law`) is energy that the display gave out without cover. In motion
-under an environment that the credited damping makes passive, E stays below a twentieth of
-`limits.energy_j`, the bound of the fault. A leak exceeds any bound: it grows by a fifth in a tick
-where a wall at five times its limit drives a light handle. So beyond SHARE of that bound
+Both are the law at the sample of this tick. The limit therefore applies to the step of an enable or
+of a change of parameters, and not to an impact on a stiff wall. If that step is too large, all
+ramping values, the gain included, move by a share of it and continue in the next tick. A ramp then
+ends later than requested, and records show the values in force. A change that removes the whole
+force (disable, stop, fault, the ramp from 0 after a gap) is not held back. Without a sample the
+force is held, and during a stop or fault the acting force ramps down. In both cases the parameters
+wait.
+
+The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
+is computed again with changes of decreasing values only.
+
+The force is continuous in the share, but neither monotonic nor linear (clamp, walls, gain times
+value), so bisection finds the share. A step lies between half the bound and the bound, and any
+change completes. The force must be a continuous function of its parameters, and parameters must
+change on a ramp.
+
+Energy leak (`controlled`). A controller ends a leak before it causes the fault `energy`: first with
+active damping, then with a weaker environment. The ledger's excess E (`render.law`) is energy that
+the display gave out without cover. In motion under an environment that the credited damping makes
+passive, E stays below a twentieth of `limits.energy_j`, the bound of the fault. A leak exceeds any
+bound: it grows by a fifth in a tick where a wall at five times its limit drives a light handle. So
+beyond SHARE of that bound
 
     1. the active damping rises to the device's limit, with a separate slew. It acts in the board's
        analog circuit, without sampling and delay, and the level that the board then reports is
@@ -82,10 +76,8 @@ lagged force, mean of each period:
     f_n = e f_{n-1} + (1 - b) F_n + (b - e) F_{n-1},   e = exp(-w T), b = (1 - e) / (w T)
 
 The controller acts while the fault `energy` is on, so never in a measurement, and only while force
-acts. If the leak continues, the fault ends it.
-
-Limitations: an `energy_j` so large that a tenth of it is too much for a hand, or a credit above the
-device's true damping.
+acts. If the leak continues, the fault ends it. Limitations: an `energy_j` so large that a tenth of
+it is too much for a hand, or a credit above the device's true damping.
 """
 
 from math import ceil, exp, inf, isfinite, prod, tau
@@ -97,6 +89,8 @@ from hapticd.mailbox.layout import STRENGTH_VALUES, Flag, Value, following
 from hapticd.render.law import Coefficients, LawInputs, LawState, Ramp, render
 from hapticd.servo.plan import Booking, Control, Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, Bounds, State
+
+# --- energy of ramps ------------------------------------------------------------------------------
 
 SHARES: Final = 20  # of a second: 21 bookings at most, in a checkpoint too
 DAMPINGS = frozenset({Value.VIRTUAL_DAMPING, Value.WALL_VIRTUAL_DAMPING})  # store nothing
@@ -198,6 +192,8 @@ def paused(plan: Plan, before: Plan, last_tick: int, tick: int, wall_gains: bool
     values = {place: part(place, before.values[place], new) for place, new in plan.values.items()}
     return plan._replace(gain=part(GAIN, before.gain, plan.gain), values=values)
 
+
+# --- force step -----------------------------------------------------------------------------------
 
 HALVINGS = 40  # of the step of one tick: from the whole range of a value to an imperceptible step
 
@@ -327,6 +323,8 @@ def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float
         return plan
     return plan._replace(gain=gain, values=values)
 
+
+# --- energy leak ----------------------------------------------------------------------------------
 
 SHARE: Final = 0.06  # of the fault's bound: threshold of the controller
 STEP: Final = 0.025  # of it: leak before the next halving

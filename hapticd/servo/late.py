@@ -1,26 +1,18 @@
-"""The time of a tick: the wait for its deadline, the rehearsal that warms the caches meanwhile, and
-the part that made it late.
+"""The time of a tick: wait for its deadline, rehearsal before it, and the cause of a late one.
 
-The wait of the loop for its next deadline.
+Wait (`spinning_wait`, `virtual_wait`). Live: sleep to `spin` before the deadline, then spin on the
+clock. The kernel wakes a sleeper 10-60 us late. The spin makes the tick start within 0.1 us for
+10 % of a core at 1 kHz and warms the caches. Deadlines lie half a period off the millisecond, away
+from the scheduler's own tick. In virtual time: move the clock.
 
-Live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a sleeper 10-60
-us late. The spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the
-caches. Deadlines lie half a period off the millisecond, away from the scheduler's own tick. In a
-millisecond of sleep the caches go cold, and a tick costs twice as much as a hot one. A rehearsal of
-the tick on dummy data at the start of the spin warms them. In virtual time: move the clock.
+Rehearsal (`rehearsal`). In a millisecond of sleep the caches go cold, and a tick costs twice as
+much as a hot one. A tick on dummy data at the start of the spin warms them. It must have no effect.
+The loop must have no closure (a variable that it shares with one costs a tick more than a local).
 
-A rehearsal must have no effect.
-
-A tick without effect: on dummy data at the start of the spin it warms the caches (see `wait`).
-
-A rehearsal must have no effect. The loop must have no closure (a variable that it shares with one
-costs a tick more than a local).
-
-The part of a tick that made it late, from its record and those around it.
-
-A tick is late when it ends after the next deadline. The loop times its parts anyway. The share of a
-part is its time beyond the usual, which is the median of three ticks on time at a tally. The part
-with the largest share is the cause:
+Cause (`cause_of`). It comes from the record of a tick and those around it. A tick is late when it
+ends after the next deadline. The loop times its parts anyway. The share of a part is its time
+beyond the usual, which is the median of three ticks on time at a tally. The part with the largest
+share is the cause:
 
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
@@ -69,6 +61,8 @@ from hapticd.usb.device import SEED, Device
 
 __all__ = ["Wait", "first_deadline", "spinning_wait", "virtual_wait"]
 
+# --- wait -----------------------------------------------------------------------------------------
+
 Wait = Callable[[int, Callable[[], object]], int]
 REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
 
@@ -110,6 +104,8 @@ def first_deadline(now_ns: int, period_ns: int) -> int:
     """Return a deadline a few periods ahead, half a period off the millisecond."""
     return (now_ns // NS_PER_MS + 3) * NS_PER_MS + period_ns // 2
 
+
+# --- rehearsal ------------------------------------------------------------------------------------
 
 _BLANK = [one.unpack(bytes(one.size)) for one in (layout.STEPPED, layout.MEASURED)]
 
@@ -155,6 +151,8 @@ def rehearsal(
 
     return rehearse
 
+
+# --- cause of a late tick -------------------------------------------------------------------------
 
 SAMPLES = 3  # of ticks on time
 EARLIER = 3  # ticks before the late one, which show the usual time on the way to the board

@@ -1,4 +1,7 @@
-"""The safety table: the state after a command, and the torque and damping that a state allows.
+"""Safety of the servo: the state table, the signs of a limit cycle, and the commissioning monitor.
+
+States (`transition`, `TABLE`). The table gives the state after a command, and the torque and
+damping that a state allows.
 
     state      torque              active damping                         leaves by
     disabled   0                   0 unless requested                     enable, home, stop, fault
@@ -14,11 +17,10 @@ Any client may send STOP at any time, and it is idempotent. `reset` leads to dis
 further. A fault keeps its first cause. A latched state ramps down the force that acts with
 authority in that tick, after the other commands: none when disabled, and never twice. `set` and
 `damping` are accepted in every state and act where the table permits. A perturbation plays while
-enabled and ends with it. The module is pure: no clock, no I/O.
+enabled and ends with it. The module is pure: no clock, no I/O. Each state must have its row (the
+import of this module checks that TABLE is complete).
 
-Each state must have its row (the import of this module checks that TABLE is complete).
-
-Detection of a limit cycle: three signs that the display moves by itself, each a fault.
+Limit cycle (`Signs`). Three signs show that the display moves by itself; each is a fault.
 
     force_at_limit  the force went REVERSALS times from one end of its limit to the other within
                     WINDOW_S: faster than 15 Hz. A hand taps at 7 Hz and trembles at 12; it may
@@ -37,18 +39,15 @@ off; every record shows which of them are on.
 
 The default limit of overspeed is 0.7 of the speed beyond which the encoder is not trusted: 3.5 m/s
 on the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as fast
-as gravity reaches 2.8 m/s; 8 g released 20 mm off under K = 200 N/m reach 3.2 m/s.
+as gravity reaches 2.8 m/s; 8 g released 20 mm off under K = 200 N/m reach 3.2 m/s. Limitations: a
+rate so low that FAST_S is less than a tick, a limit that changes while the force lies at it.
 
-Limitations: a rate so low that FAST_S is less than a tick, a limit that changes while the force
-lies at it.
-
-The monitor of a device whose signs are not verified: every push, from its first force.
-
-With a wrong sign of force or position, each spring drives the handle instead of holding it, and no
-value of the law shows this. Until a person has verified the direction of a push (`hapticd rig
-motor`), the force is limited to a tenth of the device's (`ServoParams.force_limit_n`). K, B and M
-are limited too (`mailbox.layout.COMMISSIONING_LIMITS`), and homing is refused. A push ends with the
-fault `commissioning` when
+Commissioning (`Push`). The monitor of a device whose signs are not verified watches every push,
+from its first force. With a wrong sign of force or position, each spring drives the handle instead
+of holding it, and no value of the law shows this. Until a person has verified the direction of a
+push (`hapticd rig motor`), the force is limited to a tenth of the device's
+(`ServoParams.force_limit_n`). K, B and M are limited too (`mailbox.layout.COMMISSIONING_LIMITS`),
+and homing is refused. A push ends with the fault `commissioning` when
 
     the handle is TRAVEL_M from where force began,
     force has acted for FORCE_S since the servo was enabled, or
@@ -58,9 +57,8 @@ fault `commissioning` when
 The work against the force is counted from its minimum, so earlier work with the force does not
 offset it. A hand that presses a spring or moves through a damper looks just like a wrong sign, and
 ends the force within a millimetre too: commissioning is for pushes. Positions are those that the
-law used, at most a tick old.
-
-The origin must not change under force (only `zero` changes it, and it is then refused).
+law used, at most a tick old. The origin must not change under force (only `zero` changes it, and it
+is then refused).
 """
 
 from math import ceil
@@ -70,6 +68,8 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.params import SafetyParams, ServoParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Watched
+
+# --- states ---------------------------------------------------------------------------------------
 
 State = layout.State
 
@@ -150,6 +150,7 @@ def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> 
 
 STOP_FAULT = BY_CODE["stop"].number
 
+# --- signs of a limit cycle -----------------------------------------------------------------------
 
 REVERSALS: Final = 4
 WINDOW_S: Final = 0.1
@@ -233,6 +234,8 @@ def too_fast(signs: Signs, tick: int, fast_ticks: int) -> Signs:
     found = signs._replace(fast_tick=tick, fast_ticks=count)
     return found.raised(OVERSPEED) if count >= fast_ticks else found
 
+
+# --- commissioning --------------------------------------------------------------------------------
 
 TRAVEL_M: Final = 10e-3
 FORCE_S: Final = 20.0

@@ -1,15 +1,12 @@
-"""Lost and doubted samples: their replacement for the law, and the state of the origin after them.
+"""Lost and doubted samples: their replacement for the law, and the verdict on a glitch.
 
-The law's filters see every period. Up to `missing_frames_limit` lost samples are replaced by
-positions on the straight line between the samples on either side of them. The last force was held
-meanwhile. A sample that is far from the continuation of those before it is doubted
-until the next ones show whether the device moved.
+Replacement (`Samples`). The law's filters see every period. Up to `missing_frames_limit` lost
+samples are replaced by positions on the straight line between the samples on either side of them.
+The last force was held meanwhile. The module also keeps the state of the origin after lost samples.
 
-Distinguish true motion of the handle from a glitch of the encoder.
-
-A sample bends the motion by its second difference x_n - 2 x_{n-1} + x_{n-2}. A sample is doubted if
-that exceeds limits.acceleration_m_per_s2. The law then gets the straight continuation, its state
-stays as it was, and the next samples decide:
+Glitch of the encoder, or true motion (`verdict`). A sample bends the motion by its second
+difference x_n - 2 x_{n-1} + x_{n-2}. It is doubted if that exceeds limits.acceleration_m_per_s2.
+The law then gets the straight continuation, its state stays as it was, and the next samples decide:
 
     it returned    the newest sample is on the straight line from before the doubt, or on a curve of
                    plausible acceleration: a glitch. Doubted samples count as lost, and the filters
@@ -40,6 +37,8 @@ from hapticd.servo.safety import bounds
 from hapticd.usb.codec import ENCODER_BITS
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import StatusBit
+
+# --- verdict on a glitch --------------------------------------------------------------------------
 
 MOST_DOUBTED: Final = 2  # samples in a row; one more is a fault
 # times the bend that is accepted at once; forces at 500 m/s^2 on 8 g
@@ -106,6 +105,9 @@ def one_way(bends: Sequence[float], bend_m: float) -> bool:
     """Return whether all `bends` that are clearly beyond `bend_m` have one sign."""
     signs = {bend > 0.0 for bend in bends if abs(bend) > ONE_WAY * bend_m}
     return len(signs) < 2
+
+
+# --- replacement ----------------------------------------------------------------------------------
 
 
 class Samples:

@@ -1,17 +1,14 @@
-"""The slow path of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a
-state for the fast path.
+"""The slow path of a tick: lost frames, causes of faults, commands, ramps, homing.
 
-Order within a tick: arrivals (`samples`) -> faults -> commands -> scheduled changes ->
-homing -> active damping and ramps. So a stop that arrives with an enable wins, and a reset sees a
-fault that appears in this tick.
+Causes (`Causes`). The fault of a sample, as its number (`core.faults`), 0 for none. Three methods
+check causes, each with more of them than the one before: `present` in any state, `under_force`
+while there is force, and `against_force` before enabling. `newly_lost` is the fault that a sample
+adds to a plan.
 
-The fast path looks only at `TickConstants`, so each change of the plan has to update it.
-
-The fault of a sample, as its number (`core.faults`), 0 for none.
-
-Three methods check causes, each with more of them than the one before: `present` in any state,
-`under_force` while there is force, and `against_force` before enabling. `newly_lost` is the fault
-that a sample adds to a plan.
+Order (`SlowPath`). A tick ends in a state for the fast path. Order within it: arrivals (`samples`)
+-> faults -> commands -> scheduled changes -> homing -> active damping and ramps. So a stop that
+arrives with an enable wins, and a reset sees a fault that appears in this tick. The fast path looks
+only at `TickConstants`, so each change of the plan has to update it.
 """
 
 from typing import Any
@@ -80,6 +77,8 @@ from hapticd.usb.device import SEED
 from hapticd.usb.frames import OutFlag, StatusBit
 
 __all__ = ["refiltered"]
+
+# --- causes of faults -----------------------------------------------------------------------------
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
 FRAMES_LOST = BY_CODE["frames_lost"].number
@@ -160,6 +159,8 @@ class Causes:
         short = plan.state is State.ENABLED and plan.unauthorised and plan.short_since >= 0
         return bool(short) and tick - plan.short_since > self._longest_short
 
+
+# --- order within a tick --------------------------------------------------------------------------
 
 RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of an accepted sample
 UNHEARD = 3  # consecutive ticks without a frame: torque counts as not granted (ADR-0011)
