@@ -1,23 +1,18 @@
-"""The judge in the guard's worker: it answers the requests of the gateway.
+"""The judge in the guard's worker: answers to the requests of the gateway, and the K-B plane.
 
-`Judge` takes and returns plain maps (docs/guard.md). It judges a `change` at its end and at up to
-20 points of its path (`transition_planner`). It does so in free space and in contact
+Plane (`plane`). It is the range of B at which each K is stable in every passive hand. A plane has
+one virtual mass, one pair of filters and one level of active damping. The basis of the guard
+(`bases`) judges a grid of K and B, so a picture of the plane agrees with the guard's verdicts. For
+each K the safe values of B are taken as one interval, the longest run. The set of the theorem is
+convex for a rigid device. At one delay it was an interval in B for all devices that were examined.
+Limitations: an interval of B narrower than a step of the grid is not found.
+
+Answers (`Judge`). It takes and returns plain maps (docs/guard.md). It judges a `change` at its end
+and at up to 20 points of its path (`transition_planner`). It does so in free space and in contact
 (`safe_region`), on the requested basis (`bases`); the policy selects the answer (`policies`). A
 `look` returns the verdict on the environment in force and the cost of the delay. A `hand` returns
-the passive hand that destabilises an environment.
-
-The answer depends on request and setup alone: tests and lock-step runs rely on it.
-
-The K-B plane of a device: the range of B at which each K is stable in every passive hand.
-
-A plane has one virtual mass, one pair of filters and one level of active damping.
-
-The basis of the guard (`bases`) judges a grid of K and B, so a picture of the plane agrees with the
-guard's verdicts. For each K the safe values of B are taken as one interval, the longest run. The
-set of the theorem is convex for a rigid device. At one delay it was an interval in B for all
-devices that were examined.
-
-Limitations: an interval of B narrower than a step of the grid is not found.
+the passive hand that destabilises an environment. The answer depends on request and setup alone:
+tests and lock-step runs rely on it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -49,6 +44,8 @@ from hapticd.model.linearise import Perturbation
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
 
 __all__ = ["Judge"]
+
+# --- plane ----------------------------------------------------------------------------------------
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B
@@ -148,6 +145,8 @@ def _longest(safe: Flags) -> tuple[int, int] | None:
     longest = max(runs, key=len)
     return int(longest[0]), int(longest[-1])
 
+
+# --- answers --------------------------------------------------------------------------------------
 
 _DELAYS = 8  # with a cached cost
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}

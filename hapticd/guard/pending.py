@@ -1,20 +1,16 @@
-"""A request that the guard handles, and the stages into which the worker divides it.
+"""Changes on their way: requests that the guard handles, posted commands, scheduled changes.
 
-`request_queue` keeps one `PendingChange` for each request. The worker is another process, so its
-answer is checked before it is used.
+Requests (`PendingChange`). `request_queue` keeps one for each request, with the stages into which
+the worker divides it. The worker is another process, so its answer is checked before it is used.
 
-Commands that were posted to the servo, until they are answered and in force.
+Posted commands (`Outstanding`). They are kept until they are answered and in force, and identified
+by servo life and sequence number; scheduled ones wait for their second answer. The command server
+and the guard post through this class, so it knows all outstanding commands.
 
-Commands are identified by servo life and sequence number; scheduled ones wait for their second
-answer. The command server and the guard post through this module, so it knows all outstanding
-commands.
-
-The changes that the servo holds for later ticks; a new change is judged together with them.
-
-A bounded change counts as two: the requested values, and their restoration at its end. The end has
-the negative number of the command.
-
-A change must not be kept after its servo has ended: every later verdict would count it.
+Scheduled changes (`ScheduledChanges`). The servo holds them for later ticks; a new change is judged
+together with them. A bounded change counts as two: the requested values, and their restoration at
+its end. The end has the negative number of the command. A change must not be kept after its servo
+has ended: every later verdict would count it.
 """
 
 from dataclasses import dataclass, field
@@ -34,6 +30,8 @@ from hapticd.protocol.schemas import Enable, Judged, Request, Set
 from hapticd.protocol.view import ServoView
 
 __all__ = ["Fields", "Outstanding", "Pending", "PendingChange", "ScheduledChanges", "ends_force"]
+
+# --- requests -------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True, eq=False)
@@ -145,6 +143,8 @@ def _stage(plain: Any) -> Stage:
         raise ValueError("a stage that waits for no number")
     return Stage(change, least, bool(plain.get("after_ramps")))
 
+
+# --- posted commands ------------------------------------------------------------------------------
 
 ANSWER_TIMEOUT_NS = NS_PER_S
 MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their second answer
@@ -275,6 +275,8 @@ def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
     )
     return answered or now_ns >= pending.deadline_ns
 
+
+# --- scheduled changes ----------------------------------------------------------------------------
 
 Fields = dict[str, Any]  # of an environment, nested as in `set`
 

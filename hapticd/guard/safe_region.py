@@ -1,19 +1,17 @@
-"""The safe region of a device: which environments are safe, their margin, and the allowed ranges of
-K, B and M.
+"""The safe region of a device: safe environments, their margins and ranges, and their verdicts.
 
-It also gives the passive range of each parameter alone, and the stiffness that the delay costs.
+Region (`SafeRegion`). It gives the safe environments, their margin, and the allowed ranges of K, B
+and M. It also gives the passive range of each parameter alone, and the stiffness that the delay
+costs. An environment is safe if the basis (`bases`) judges its K, B, M safe in free space and in
+its wall, at each delay considered. The grid for a range gets finer towards the environment's own
+value. Each end is then refined between its last two grid points. Limitations: a delay that changes
+from tick to tick; a hand that makes and breaks contact with the wall in step with its motion,
+because each side is judged separately; a device that renders nothing of one axis alone, and much of
+it together with another.
 
-An environment is safe if the basis (`bases`) judges its K, B, M safe in free space and in its wall,
-at each delay considered. The grid for a range gets finer towards the environment's own value. Each
-end is then refined between its last two grid points.
-
-Limitations: a delay that changes from tick to tick; a hand that makes and breaks contact with the
-wall in step with its motion, because each side is judged separately; a device that renders nothing
-of one axis alone, and much of it together with another.
-
-Explain a verdict: its plain map, reasons and remedies, and the destabilising hand.
-
-Each sentence must have value, unit and remedy. A `safe` verdict must include the list NOT_COVERED.
+Verdict (`VerdictBuilder`, `explain`). It is a plain map with reasons and remedies, and the
+destabilising hand. Each sentence must have value, unit and remedy. A `safe` verdict must include
+the list NOT_COVERED.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +33,8 @@ from hapticd.model.model import Model
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
 
 __all__ = ["passive_ranges", "ranges_of"]
+
+# --- region ---------------------------------------------------------------------------------------
 
 _GRID = 40  # grid distances on either side of a value
 _FINER = 9  # values between the last safe and the first unsafe one, three times
@@ -312,6 +312,8 @@ def _refined(
                 outside[axis][end] = steps[count + 1]
     return {axis: [float(end) for end in ends] for axis, ends in inside.items()}
 
+
+# --- verdict --------------------------------------------------------------------------------------
 
 NOT_COVERED = ("contact switching", "varying delay")
 NOTHING_KNOWN: dict[str, Any] = {

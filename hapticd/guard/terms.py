@@ -1,29 +1,24 @@
-"""The terms of the guard (policy, basis, margin, mode), kept across a restart of the gateway.
+"""Inputs of the guard's judgements: terms, delay of the loop, and the environment in force.
 
-A client may change the terms while the daemon runs; they apply to the servo life in which they were
-requested. A gateway that restarts next to the same servo finds the same environment in force. With
-the configured terms alone it might judge by a laxer policy than the operator expects. The terms are
-therefore kept in the runtime folder with the epoch of the servo. After a restart they apply again
-if they are no laxer than the configured ones (ADR-0018).
+Terms (`Terms`). They are policy, basis, margin and mode. A client may change them while the daemon
+runs; they apply to the servo life in which they were requested. A gateway that restarts next to the
+same servo finds the same environment in force. With the configured terms alone it might judge by a
+laxer policy than the operator expects. The terms are therefore kept in the runtime folder with the
+epoch of the servo (`TermsKeeper`). After a restart they apply again if they are no laxer than the
+configured ones (ADR-0018). Terms end with their servo; a laxer one ends with its gateway.
 
-Terms end with their servo; a laxer one ends with its gateway.
+Delay (`DelayHistogram`). Each record contains `delay_us`, the delay from a sample to its force, for
+the force in effect when the record's own sample was taken. The delays of the last minute are
+counted by second, in steps of 1/16 period. The guard uses the 99th percentile, rounded up to the
+next step. A longer delay counts at once; a shorter one counts after 10 s, because each new delay
+costs the worker 0.5 s. The theorem assumes a constant delay, and every verdict includes this
+limitation. The delay must be rounded up, and a minute without records must not count the one
+before.
 
-Estimate the loop delay of the last minute, for the judgements of the guard.
-
-Each record contains `delay_us`, the delay from a sample to its force, for the force in effect when
-the record's own sample was taken. This module counts these delays by second, in steps of 1/16
-period. The guard uses the 99th percentile, rounded up to the next step. A longer delay counts at
-once; a shorter one counts after 10 s, because each new delay costs the worker 0.5 s. The theorem
-assumes a constant delay, and every verdict includes this limitation.
-
-The delay must be rounded up, and a minute without records must not count the one before.
-
-Determine the environment in force from the newest record and the last answer of the servo.
-
-`target` is the end of the ramps in progress, `now` the environment that acts in the newest record.
-Records do not contain the wall's damping during a ramp, nor its side once it is rounded to 0. For
-these the value counts that may still act and is furthest from the target.
-
+Environment in force (`EnvironmentInForce`). It is determined from the newest record and the last
+answer of the servo. `target` is the end of the ramps in progress, `now` the environment that acts
+in the newest record. Records do not contain the wall's damping during a ramp, nor its side once it
+is rounded to 0. For these the value counts that may still act and is furthest from the target.
 Limitations: record and answers may belong to different revisions for a moment (see `known`).
 """
 
@@ -44,6 +39,8 @@ from hapticd.mailbox.layout import Flag, Value, newer
 from hapticd.protocol.commands import rendered
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import Records, ServoView
+
+# --- terms ----------------------------------------------------------------------------------------
 
 RETRY_NS = NS_PER_S  # after a failed write
 STRICTNESS = {"off": 0, "warn": 1} | dict.fromkeys(STRICT_POLICIES, 2)
@@ -146,6 +143,8 @@ class TermsKeeper:
         return terms
 
 
+# --- delay ----------------------------------------------------------------------------------------
+
 STEPS = 16  # of a period
 MOST_PERIODS = 16
 BINS = STEPS * MOST_PERIODS + 1  # the last bin includes all longer delays
@@ -212,6 +211,8 @@ class DelayHistogram:
             self.periods = measured
             self._shorter_since = None
 
+
+# --- environment in force -------------------------------------------------------------------------
 
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
 # columns with the acting values; side and active damping need more than the record
