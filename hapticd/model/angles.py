@@ -1,20 +1,18 @@
-"""The angles wT at which a device is evaluated, and the minimum between them.
+"""The frequencies at which a device is evaluated, and the minimum between them.
 
 Density (`angles_of`). The condition of `theorem` depends on the device alone through e = G - E, h
-and q. Their only poles are those of the device with its probe held still, folded into the base
-band; the poles of the free device cancel. A pole w_i - j v_i makes a feature at least v_i T wide. A
-ladder of angles with geometric distances from v_i T therefore surrounds it, up to where the fixed
-angles are denser. The law's filters have no ladder.
+and q, at angles wT. Their only poles are those of the device with its probe held still, folded into
+the base band; the poles of the free device cancel. A pole w_i - j v_i makes a feature at least v_i
+T wide. A ladder of angles with geometric distances from v_i T therefore surrounds it, up to where
+the fixed angles are denser. The law's filters have no ladder.
 
-Minimum (`least_between`). A parabola through a minimum and its neighbours estimates the true
-minimum. Its error is 0.1 % of an edge with the filters of the paper, and 2 % with one of ratio 0.3
-at 8 to 64 Hz. Margins, maps and `coupled.withstands` use it. The yes or no of the guard does not:
-it is exact between angles (`rational`).
+Minimum between angles (`least_between`). A parabola through a minimum and its neighbours estimates
+the true minimum. Its error is 0.1 % of an edge with the filters of the paper, and 2 % with one of
+ratio 0.3 at 8 to 64 Hz. Margins, maps and `coupled.withstands` use it. The yes or no of the guard
+does not: it is exact between angles (`rational`). Limitations: a mode whose width is below the
+resolution of the arithmetic (`unresolved_hz`).
 
-Limitations: a mode whose width is below the resolution of the arithmetic (`unresolved_hz`).
-
-Narrow dips of Re Z between the lines of a grid, searched for at the poles of the loop.
-
+Narrow dips of Re Z between lines (`min_real_part`). They are searched for at the poles of the loop.
 With G the pulse transfer of the command, C the law, E the part of G that passes through the probe
 at w, and h, q the transfers from command to probe and from probe to encoder (see `theorem`),
 
@@ -27,9 +25,9 @@ they read +0.38 where Re Z falls to -0.93 N s/m over 8 Hz. Therefore:
 1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all
    environments;
 2. `min_real_part` approximates Z between three neighbouring lines by (a + b x) / (1 + c x), exact
-   for one pole on a constant, whose minimum real part has a closed form. If it is below the minimum
-   so far, Z is computed for that environment alone, and the dip followed. Only computed values
-   count.
+   for one pole on a constant. The minimum real part of that has a closed form. If it is below the
+   minimum so far, Z is computed for that environment alone, and the dip followed. Only computed
+   values count.
 
 Limitations: two modes within one step that are narrower than it, or a law that moves a mode by many
 of its widths without damping it, away from the lines, so that it hardly shows on any of them.
@@ -45,6 +43,8 @@ from hapticd.model.loop import port_states
 from hapticd.model.model import Model
 
 __all__ = ["FIXED", "angles_of", "held_poles", "least_between", "unresolved_hz", "vertices"]
+
+# --- angles and the minimum between them ----------------------------------------------------------
 
 _STEP = np.pi / 500.0  # about that of the fixed angles, above _LINEAR
 _LINEAR = 0.05  # rad; below it they are geometric
@@ -130,6 +130,8 @@ def vertices(angles: Floats, values: Floats) -> tuple[Integers, Integers, Floats
     slope = falling + bend * below
     return row, place, middle - 0.25 * slope * slope / bend
 
+
+# --- narrow dips between lines --------------------------------------------------------------------
 
 At = Callable[[Integers, Floats], Complexes]  # Z (n,) of environments (n,) at their own frequencies
 

@@ -1,8 +1,9 @@
-"""From a scene to a `Model`: every effect of the scene writes its part, the loop of the damping
-circuit is closed, and the linear part becomes one state-space model.
+"""From a scene to a `Model`, and from a model to the numbers of board.json.
 
-Absent effects add nothing: a rigid device without extras has two states. The loop of the damping
-circuit (Weir 2008, Fig. 6) is estimate, multiplier, amplifier, force on the rotor:
+Model (`compose`). Every effect of the scene writes its part, the loop of the damping circuit is
+closed, and the linear part becomes one state-space model. Absent effects add nothing: a rigid
+device without extras has two states. The loop of the damping circuit (Weir 2008, Fig. 6) is
+estimate, multiplier, amplifier, force on the rotor:
 
     F_r'   = w_r (F_cmd - F_r)                               smoothing of the command
     F_a'   = w_a (F_r - g(b) (v_hat + e) - F_a)              current amplifier, as endpoint force
@@ -23,16 +24,12 @@ damping circuit beyond one of these limits is refused, unless the scene sets `al
 Errors of resistance or inductance are refused without the lags that make the loop a differential
 equation.
 
-A composed model as the numbers of board.json: exact maps at a grid of damping levels. A map
-covers one sub-step.
-
-The levels that a configuration uses are nodes, so a board at one of them is exact. Between nodes,
-while the servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m the error of
-an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a second axis,
-its residual resistance.
-
-Limitations: a highest level far above 10 Ns/m with the same grid, or a winding hotter than
-`HOTTEST_C` (the outermost maps are extrapolated linearly).
+Numbers of board.json (`board_fields`). They are exact maps at a grid of damping levels, each over
+one sub-step. The levels that a configuration uses are nodes, so a board at one of them is exact.
+Between nodes, while the servo slews, maps are interpolated linearly. With `GRID` nodes over 10 Ns/m
+the error of an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a
+second axis, its residual resistance. Limitations: a highest level far above 10 Ns/m with the same
+grid, or a winding hotter than `HOTTEST_C` (the outermost maps are extrapolated linearly).
 """
 
 from collections.abc import Iterable
@@ -79,6 +76,8 @@ from hapticd.model.scene import Scene
 from hapticd.model.step import SUBSTEPS_PER_TICK
 
 __all__ = ["board_fields", "compose", "compose_device", "refuse_unstable"]
+
+# --- model ----------------------------------------------------------------------------------------
 
 
 def drive(plan: Blueprint) -> None:
@@ -336,6 +335,8 @@ def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
         amplifier_rad_s=plan.amplifier_rad_s,
     )
 
+
+# --- numbers of board.json ------------------------------------------------------------------------
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up

@@ -1,5 +1,4 @@
-"""Stability in passive hands: which environments no passive hand makes oscillate, and a hand that
-does.
+"""Stability of an environment in passive hands, and its forecast before a trial.
 
 Hands (`Hand`) are passive one-ports at the probe, networks of masses, dampers and springs:
 
@@ -11,8 +10,8 @@ one difference). This alone makes Re Z_h(s) >= 0 for every s with Re s > 0, so a
 positive real: passive by construction (Brune 1931), from a fingertip to a tree of resonators
 without loss. A node may be without a mass if a damper holds it, as in a Maxwell arm. `held_by`
 attaches the hand to the rotor of a composed device exactly, so that the eigenvalues of its sampled
-loop can be computed. `at_port` also records the port between the two, so that the work of a trial
-is the energy that flows from the hand into the display.
+loop can be computed. `at_port` also records the port between the two. The work of a trial is then
+the energy that flows from the hand into the display.
 
 Stability (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
@@ -24,12 +23,12 @@ the terms of `theorem` that of device and hand together is
 
 and the loop closes as 1 + C G_h. A hand can be introduced gradually, s Z_h with s from 0 to 1: all
 of these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
-the way, so a loop that is stable alone is stable in every hand (zero exclusion). If it is inside,
+the way. A loop that is stable alone is then stable in every hand (zero exclusion). If it is inside,
 masses and springs that reach the rim exist (`destabilising_hand`): for hands that do not change
 with time the condition is necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum
 |q|^2/r) in place of sum |hq|/r. That is equal for a rigid device and up to 4-15 % more for the
-calibrated ones, because the theorem also holds for hands that mix harmonics, such as a grip that
-changes. An environment that passes the theorem passes this condition.
+calibrated ones. The reason: the theorem also holds for hands that mix harmonics, such as a grip
+that changes. An environment that passes the theorem passes this condition.
 
 Friction, as a damper on the rotor, adds to r alone. It counts only for motions as small as those at
 which it was linearised.
@@ -38,19 +37,18 @@ Limitations: an environment that is unstable without a hand (`loop.spectral_radi
 holds the device elsewhere than at the probe, where the impedance differs; a node that only dampers
 hold, which stays where it is pushed, an eigenvalue 1 that is not an oscillation.
 
-Everything known about one environment before a trial: eigenvalues, theorem, prediction, hands.
+Forecast (`forecast`). It contains everything known about one environment before a trial:
 
     radius       of the exact tick without friction: at 1 and above the display moves by itself
     theorem      damping margin at every image, for every input, without friction (`theorem`)
     prediction   minimum Re Z at a given perturbation, Coulomb friction linearised there (`predict`)
-    hand         without friction, a passive hand in which the loop grows (`coupled`), checked by
-                 its tick
+    hand         without friction, a passive hand in which the loop grows, checked by its tick
 
 The theorem covers all inputs and large motions; the prediction covers a trial of that amplitude.
 They differ where friction stabilises a display, or where noise does not show images.
 
-Limitations: K < 0. It is active below every judged band, so Re Z >= 0 proves nothing, and the loop
-may be unstable with Re Z > 0 over the whole band. It is refused whatever the numbers.
+Limitations: K < 0. It is active below every judged band, so Re Z >= 0 proves nothing. The loop may
+be unstable with Re Z > 0 over the whole band. It is refused whatever the numbers.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -71,6 +69,8 @@ from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import LiftedSystem, lifted_margin, lifted_system
 
 __all__ = ["Forecast", "Hand", "at_port", "coupled_radius", "forecast", "shaking_hand"]
+
+# --- hands ----------------------------------------------------------------------------------------
 
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
@@ -233,6 +233,9 @@ def _seen(outputs: Outputs, size: int) -> Outputs:
     return replace(outputs, **changed)
 
 
+# --- stability ------------------------------------------------------------------------------------
+
+
 def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> tuple[Complexes, Floats]:
     """Return the circle that contains the pulse transfer of a device, with that damper on its
     rotor, in every passive hand: centre and radius (A,) [m/N] at the angles of its lift. Without
@@ -389,6 +392,9 @@ def _outside(lifted: LiftedSystem, point: Floats, friction_ns_per_m: float) -> F
     size = radius * np.abs(law)
     near = np.abs(1.0 + law * centre)
     return np.asarray(np.divide(near, size, out=np.full(size.size, np.inf), where=size > 0.0) - 1.0)
+
+
+# --- forecast -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

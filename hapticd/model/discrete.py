@@ -1,42 +1,38 @@
-"""Exact discretisation: held inputs, any step, and commands that change inside a step.
+"""The open device in time: exact discretisation of its equations, and stability at a damping level.
+
+Discretisation (`discretise`). Inputs are held over a step of any length:
 
     x(h) = Phi x + Gamma u,   [Phi Gamma; 0 I] = exp([A B; 0 0] h)
 
-A command that takes effect the fraction p of a step late splits its column: the old value acts for
-p h, the new one for (1 - p) h, Gamma_new = integral over (1 - p) h, Gamma_old = Gamma - Gamma_new.
-That is exact; it needs no sub-steps.
+Late command (`late_command`). A command that takes effect the fraction p of a step late splits its
+column: the old value acts for p h, the new one for (1 - p) h, Gamma_new = integral over (1 - p) h,
+Gamma_old = Gamma - Gamma_new. That is exact; it needs no sub-steps.
 
-The exponential is computed by scaling, Taylor series and squaring, in extended precision:
+Exponential (`expm`). It is computed by scaling, Taylor series and squaring, in extended precision:
 
     e^X = (e^(X / 2^s))^(2^s),   s such that the 1-norm of X / 2^s is at most 1/2
 
-At norm 1/2 the series of 25 terms is complete to 1e-33, so only rounding remains, and the squarings
-amplify that by 2^s at worst. numpy's long double has 64 bits of mantissa on x86 and 113 on ARM
-Linux, which leaves the result correct to the last bits of a double. A Pade approximant would save a
-few products but need a solver, which long double does not have. The matrix is balanced first by
-powers of two (exact), because states in metres and in newtons differ by many orders.
+At norm 1/2 the series of 25 terms is complete to 1e-33. Only rounding remains, and the squarings
+amplify it by 2^s at worst. numpy's long double has 64 bits of mantissa on x86 and 113 on ARM Linux.
+The result is therefore correct to the last bits of a double. A Pade approximant would save a few
+products but need a solver, which long double does not have. The matrix is balanced first by powers
+of two (exact), because states in metres and in newtons differ by many orders. Reference: Moler and
+Van Loan 2003, "Nineteen dubious ways to compute the exponential of a matrix", method 3.
 
-Reference: Moler and Van Loan 2003, "Nineteen dubious ways to compute the exponential of a matrix",
-method 3.
+Precision (`computable`). It reports devices whose numbers double precision cannot handle: a value
+of a device file may have the right sign and unit, and still be 1e-308 kg. Computations of the
+composed model must be inside it. Limitations: a platform whose long double is a double (the last
+three digits are lost).
 
-`computable` reports devices whose numbers double precision cannot handle: a value of a device file
-may have the right sign and unit, and still be 1e-308 kg.
-
-Computations of the composed model must be inside `computable`, and the input must be held over the
-step. Limitations: a platform whose long double is a double (the last three digits are lost).
-
-Stability of the open device at a damping level, with its reason.
-
-The eigenvalues without virtual environment decide. A device that nothing holds in place drifts:
-translation of all bodies together is an eigenvector with eigenvalue 0, and without damping a double
-one. It is divided out first (A t = 0 makes A block triangular in the basis t, t-perp), so the rest
-decides, and rounding of a double zero is not mistaken for growth.
+Stability (`stability`). The eigenvalues without virtual environment decide. A device that nothing
+holds in place drifts: translation of all bodies together is an eigenvector with eigenvalue 0, and
+without damping a double one. It is divided out first (A t = 0 makes A block triangular in the basis
+t, t-perp). So the rest decides, and rounding of a double zero is not mistaken for growth. A
+position must be a state named ..._position (its translation would otherwise not be divided out).
 
 Only the damping circuit can make it unstable: resistance over-compensated beyond g dR / K^2 = -1,
 an inductance error, or more damping than its bandwidth allows (the ceiling). `explain` lists
 states, modes, nonlinearities, and the purpose of each effect.
-
-A position must be a state named ..._position (its translation would otherwise not be divided out).
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -62,6 +58,8 @@ __all__ = [
     "modes",
     "stability",
 ]
+
+# --- exponential ----------------------------------------------------------------------------------
 
 TERMS = 25
 LARGEST_NORM = 0.5
@@ -142,6 +140,8 @@ def _balance(matrix: Array) -> Array:
     return scale
 
 
+# --- discretisation -------------------------------------------------------------------------------
+
 SNAP = 1e-9  # of a step: a delay this close to a whole step is one
 
 
@@ -192,6 +192,8 @@ def delay_steps(delay_periods: float) -> tuple[int, float]:
     fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0
 
+
+# --- stability ------------------------------------------------------------------------------------
 
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
 HALVINGS = 80  # of an interval, until its ends are neighbours

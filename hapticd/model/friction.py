@@ -1,32 +1,29 @@
-"""What is not linear in the motor's force, solved exactly once per step: Coulomb friction, and the
-limits of the amplifier.
+"""Nonlinear forces, solved exactly once per step: Coulomb friction and the amplifier's limits.
 
-Coulomb friction as a set-valued force, solved exactly once per sub-step.
+Coulomb friction (`stick_one`, `stick_two`) is a set-valued force, held over a sub-step.
 
     -f in Fc Sgn(v):   v > 0 -> f = -Fc,   v < 0 -> f = +Fc,   v = 0 -> any f in [-Fc, Fc]
 
-Over a sub-step the friction force is held and the velocity at its end is linear in it: v = v_free +
-W f with W > 0. The one f in the box [-Fc, Fc] with v = 0, or at the edge of the box with v still
-against it, is f = clamp(-v_free / W). This is implicit in time, without regularisation or chatter;
-a stuck body has v = 0 exactly. Two bodies give the same problem in two unknowns with a P-matrix W
-(its off-diagonal is the coupling), which has one solution; `stick_two` computes it directly.
+The velocity at the end of a sub-step is linear in it: v = v_free + W f with W > 0. The one f in the
+box [-Fc, Fc] with v = 0, or at the edge of the box with v still against it, is f = clamp(-v_free /
+W). This is implicit in time, without regularisation or chatter; a stuck body has v = 0 exactly. Two
+bodies give the same problem in two unknowns with a P-matrix W (its off-diagonal is the coupling),
+which has one solution; `stick_two` computes it directly.
 
 v = 0 at both ends of a sub-step does not mean zero displacement. If a spring or a filter changes
-the force on the body, a held f leaves it a few nanometres of travel (dF h^2 / 12 m), otherwise
-rounding. A body that stood and sticks stays, so the integrator of a sub-step restores its position
-alone. The effect of that travel on the other states is of the fifth order in h.
-
-The error is that of holding f over the sub-step in which the sign changes: first order in the
-sub-step's length.
+the force on the body, a held f leaves it a few nanometres of travel (dF h^2 / 12 m). Otherwise only
+rounding is left. A body that stood and sticks stays, so the integrator of a sub-step restores its
+position alone. The effect of that travel on the other states is of the fifth order in h. The error
+is that of holding f over the sub-step in which the sign changes: first order in the sub-step's
+length.
 
 Limitations: W of a velocity over a time long compared with the fastest mode (W may then lose its
 positive diagonal). A viscous substitute tanh(v / eps) would creep. Functions take and return
 floats; the batch engine compiles the same code.
 
-Limits of current and voltage of the amplifier that drives the motor. They bound the sum of
-torque command and active damping, and so the damping.
-
-The motor force F = K i, K = K_m / r, follows the request with a lag of 1 / w_a inside the limits:
+Limits of the amplifier (`reach`). Its current and voltage bound the sum of torque command and
+active damping, and so the damping. The motor force F = K i, K = K_m / r, follows the request with a
+lag of 1 / w_a inside the limits:
 
     F' = w_a (asked - F) + e        e = 0 inside the limits
     |F| <= K i_max                                                limit of current
@@ -39,10 +36,10 @@ back-EMF. Within a step h, v held, the supply reaches a range of width 2 S (1 - 
 
 S is the force at stall and D the damping of the shorted winding: an amplifier at its limit of
 voltage still damps by D, whatever the request. e is held over a step. It is the one value that ends
-the step at the nearest end of both ranges, as a friction force ends it at rest (`friction`). F at
-the end of a step is never beyond its limit, however long the step. Beyond (u_max + R i_max) / K the
-back-EMF drives more than i_max through the amplifier. The range of the supply then takes
-precedence, because no amplifier can block that current.
+the step at the nearest end of both ranges, as a friction force ends it at rest. F at the end of a
+step is never beyond its limit, however long the step. Beyond (u_max + R i_max) / K the back-EMF
+drives more than i_max through the amplifier. The range of the supply then takes precedence, because
+no amplifier can block that current.
 
 Within a step F is accurate to the first order of h, as friction is. In an impact at 50 m/s, where
 the back-EMF is five times the supply, one step of 250 us has an error of 5 %. The controller of a
@@ -59,6 +56,8 @@ from typing import NamedTuple
 from hapticd.core.params import DriveLimits
 
 __all__ = ["Reach", "reach"]
+
+# --- Coulomb friction -----------------------------------------------------------------------------
 
 
 def stick_one(v_free: float, response: float, level: float) -> float:
@@ -104,6 +103,9 @@ def stick_two(
         f2 = -level2
         f1 = stick_one(v1 + w12 * f2, w11, level1)
     return f1, f2
+
+
+# --- limits of the amplifier ----------------------------------------------------------------------
 
 
 class Reach(NamedTuple):
