@@ -1,19 +1,17 @@
-"""The journal: events, and the actors behind them.
+"""Events, their actors, and explanations of verdicts: codes, and the text made of them.
 
-Events are maps, one per event: kept for `status`, and queued for the topic `event`. Each has a
+Events (`Journal`). They are maps, kept for `status`, and queued for the topic `event`. Each has a
 `kind`, a `code` and the fields of `answers.Event` that belong to it. Programs use these. The `text`
 is for people, whatever the language and version of the client. Only this module makes it, from the
 code and the fields.
 
-An actor is a small number for each client, which every tick record contains, and the name that the
-client has chosen. Both exist as long as the connection, and are remembered for the clients that
-left last. Numbers are never reused in a servo life, even by another gateway.
+Actors (`Actors`). An actor is a small number for each client, which every tick record contains, and
+the name that the client has chosen. Both exist as long as the connection, and are remembered for
+the clients that left last. Numbers are never reused in a servo life, even by another gateway.
 
-The explanation of a verdict: an outcome, typed reasons and remedies, and the sentence made of
-them.
-
-Programs read the codes. The texts are for users: reasons follow each other, remedies are
-alternatives and are joined by "or".
+Explanation (`Explanation`). It consists of an outcome, typed reasons and remedies, and the sentence
+made of them. Programs read the codes. The texts are for users: reasons follow each other, remedies
+are alternatives and are joined by "or".
 """
 
 from collections import OrderedDict, deque
@@ -40,6 +38,8 @@ __all__ = [
     "explanation_of",
     "sentence",
 ]
+
+# --- events ---------------------------------------------------------------------------------------
 
 KEPT = 32
 QUEUED = 256
@@ -187,6 +187,8 @@ class Journal:
         return events
 
 
+# --- actors ---------------------------------------------------------------------------------------
+
 MOST = 64  # clients that have left
 GATEWAY_ACTOR = 1
 RESERVED = {GATEWAY_ACTOR: "gateway", ACTOR_STOP_WORD: "stop word"}  # 0 is the servo itself
@@ -237,6 +239,9 @@ class Actors:
         forgotten clients.
         """
         return RESERVED.get(number) or self.names().get(str(number), "")
+
+
+# --- explanation ----------------------------------------------------------------------------------
 
 
 class Outcome(StrEnum):

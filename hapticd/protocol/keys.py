@@ -1,4 +1,6 @@
-"""The files of CURVE keys: how to create them, and how a gateway reads them.
+"""CURVE keys: their files, and the events of connections that use them.
+
+Files (`make_keys`, `make_client`, `server_pair`). A gateway reads them in this layout:
 
     server.key, server.key_secret   the gateway's pair; clients need the public key
     clients/NAME.key                public keys of allowed subscribers
@@ -7,11 +9,9 @@
 A secret key that another account may read is refused. Existing keys are never overwritten, because
 their other half is in use elsewhere.
 
-Read the events of libzmq's monitor about a socket's connections, for both ends of a line with
-keys (`relay`, `client.listener`).
-
-pyzmq also has a reader of these messages, but it loads asyncio, which takes too much memory for the
-relay. A monitor socket must have one reader.
+Events (`taken`). libzmq's monitor reports them about a socket's connections, for both ends of a
+line with keys (`relay`, `client.listener`). pyzmq also has a reader of these messages, but it loads
+asyncio, which takes too much memory for the relay. A monitor socket must have one reader.
 """
 
 import os
@@ -40,6 +40,8 @@ __all__ = [
     "take",
     "taken",
 ]
+
+# --- files ----------------------------------------------------------------------------------------
 
 SERVER = "server"
 SERVER_PUBLIC = "server.key"
@@ -212,6 +214,8 @@ def _private(folder: Path) -> Iterator[None]:
     finally:
         os.umask(before)
 
+
+# --- events ---------------------------------------------------------------------------------------
 
 LAYOUT = struct.Struct("=Hi")  # event, value: zmq_socket_monitor(3)
 

@@ -1,9 +1,16 @@
-"""Leases: the exclusive right of a client to change a part of the display, as long as it is alive.
+"""Rights of clients: access to the gateway by address, and leases of parts of the display.
 
-There are four. `environment` covers the rendered environment and the force switch, `active_damping`
-the damping and its mode, `perturbation` the waveform, and `measuring` all three. While `measuring`
-is held, nothing is judged and the energy faults are off. Any client may change a part without a
-holder. A holder is a connection, not a name: two clients of one name are two holders.
+Access (`needs_keys`, `in_the_clear`). Commands are accepted only on a socket file in the runtime
+folder, with the permissions of the file system. Telemetry is offered there and on the loopback. On
+other addresses it needs CURVE keys (`keys`) and the relay (`gateway.relay`), or `allow_insecure` in
+the configuration, with a warning.
+
+Leases (`Leases`). A lease is the exclusive right of a client to change a part of the display, as
+long as it is alive. There are four. `environment` covers the rendered environment and the force
+switch, `active_damping` the damping and its mode, `perturbation` the waveform, and `measuring` all
+three. While `measuring` is held, nothing is judged and the energy faults are off. Any client may
+change a part without a holder. A holder is a connection, not a name: two clients of one name are
+two holders.
 
     taken        by any client while no other holds any of it; otherwise only with `take_over`
     renewed      by every request of its holder, for `ttl` from then on
@@ -17,16 +24,8 @@ takes or releases the lease itself: its knowledge of the display is outdated. St
 reset need no lease.
 
 The module is pure: the time is an argument. Only time during which the gateway received requests
-counts. A late pass or a jump of the clock postpones all ends by as much.
-
-The actor number of a connection must not change (`journal.Actors` keeps it). A caller must check
-`may` before any change.
-
-Access to the gateway, by address.
-
-Commands are accepted only on a socket file in the runtime folder, with the permissions of the file
-system. Telemetry is offered there and on the loopback. On other addresses it needs CURVE keys
-(`keys`) and the relay (`gateway.relay`), or `allow_insecure` in the configuration, with a warning.
+counts. A late pass or a jump of the clock postpones all ends by as much. The actor number of a
+connection must not change (`journal.Actors` keeps it). A caller must check `may` before any change.
 """
 
 import ipaddress
@@ -52,6 +51,8 @@ __all__ = [
     "needs_keys",
     "without_leave",
 ]
+
+# --- access ---------------------------------------------------------------------------------------
 
 
 def is_loopback(host: str) -> bool:
@@ -92,6 +93,8 @@ def needs_keys(params: GatewayParams) -> bool:
     """Return whether TCP requires a key."""
     return params.curve_keys is not None and not is_loopback(params.tcp_host)
 
+
+# --- leases ---------------------------------------------------------------------------------------
 
 ENVIRONMENT = "environment"
 DAMPING = "active_damping"

@@ -1,21 +1,20 @@
-"""The servo as seen by the gateway: its mailbox, its newest record, its last answers.
+"""The servo as seen by the gateway: its mailbox, newest record, last answers and energy ledger.
 
-A servo may die and another start; each life has its own mailbox. The view detects this (the
-heartbeat stops, or the folder has another file), closes the mailbox and tries again ten times a
-second. A servo with another configuration is not served, because scales may differ. `life` counts
-the opened mailboxes. Telemetry records are numpy structured arrays whose dtype comes from the one
-table in mailbox.layout.
+Records (`as_records`). Telemetry records are numpy structured arrays. Their dtype comes from the
+one table in mailbox.layout.
 
-The energy ledger from tick records: sums by cause, from the first record on.
+View (`ServoView`). A servo may die and another start; each life has its own mailbox. The view
+detects this (the heartbeat stops, or the folder has another file), closes the mailbox and tries
+again ten times a second. A servo with another configuration is not served, because scales may
+differ. `life` counts the opened mailboxes.
 
-`signal.ledger` defines the causes; this module extracts their samples from the records. A record
-without a fresh sample adds nothing, and the next one covers the whole motion since the last sample:
-a NaN or a fault erases nothing. The sent force is the record's `force_n`. The shares of the law, of
-its limit, and of a push from outside the law follow from its other columns. The force in effect
-comes from the frames alone: the sequence number that the board reports, and 0 without granted
-torque.
-
-Records must be in order, and `forget` must be called at a gap, across which the motion is unknown.
+Energy ledger (`Ledger`). It has the sums by cause, from the first record on. `signal.ledger`
+defines the causes; this module extracts their samples from the records. A record without a fresh
+sample adds nothing, and the next one covers the whole motion since the last sample: a NaN or a
+fault erases nothing. The sent force is the record's `force_n`. The shares of the law, of its limit,
+and of a push from outside the law follow from its other columns. The force in effect comes from the
+frames alone: the sequence number that the board reports, and 0 without granted torque. Records must
+be in order, and `forget` must be called at a gap, across which the motion is unknown.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,6 +49,8 @@ __all__ = [
     "joined",
     "samples",
 ]
+
+# --- records --------------------------------------------------------------------------------------
 
 Records = NDArray[np.void]
 
@@ -87,6 +88,8 @@ def last_torn(records: Records) -> int:
     torn = np.flatnonzero(records["tick"] != records["tail"])
     return int(torn[-1]) + 1 if torn.size else 0
 
+
+# --- view -----------------------------------------------------------------------------------------
 
 RETRY_NS = 100 * NS_PER_MS
 SILENCE_NS = NS_PER_S  # a servo without a tick for 1 s counts as dead
@@ -289,6 +292,8 @@ class ServoView:
         """Row of hapticd.core.faults for the newest record."""
         return BY_NUMBER.get(int(self.record.get("fault", 0)), FAULTS[0])
 
+
+# --- energy ledger --------------------------------------------------------------------------------
 
 NAMES = BOOKED.names or ()
 CONTEXT = 4 * LONGEST  # records kept for forces that are not yet in effect
