@@ -1,31 +1,25 @@
-"""Opening recordings: finished files, live or crashed ones, flight recordings.
+"""Recordings as files: opening them, their energy ledger, and their replay.
 
-All become a `Recording`: columns read on demand, records as the servo wrote them, and the segments
-that can be replayed. A finished file is read directly. For a live or crashed one (see `live`) all
-complete frames count, and for a flight recording all records; both have the columns of a finished
-file.
+Opening (`open_recording`). Finished files, live or crashed ones, and flight recordings all become a
+`Recording`: columns read on demand, records as the servo wrote them, and the segments that can be
+replayed. A finished file is read directly. For a live or crashed one (see `live`) all complete
+frames count, and for a flight recording all records; both have the columns of a finished file. A
+field must keep its meaning under its name.
 
-A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint to the next
-gap, or to a tick whose requests were lost (`break`).
+A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on. It
+lasts to the next gap, or to a tick whose requests were lost (`break`).
 
-A field must keep its meaning under its name.
+Energy ledger (`energies`, `total_j`). It has for every tick the sums by cause since its first
+record. A finished file contains them in its group `energy`. For any other file they are computed
+here, from the records, with the gateway's own ledger. Across a gap, and from one servo life to the
+next, no motion is booked. Recordings of boards that did not report the force in effect are booked
+with the delay assumed at the time. Nothing in them is unexplained. Limitations: records without a
+field that the ledger reads (`Recording.records` raises the error).
 
-The energy ledger of a recording: for every tick the sums by cause since its first record.
-
-A finished file contains them in its group `energy`. For any other file they are computed here, from
-the records, with the gateway's own ledger. Across a gap, and from one servo life to the next, no
-motion is booked. Recordings of boards that did not report the force in effect are booked with the
-delay assumed at the time, so nothing in them is unexplained.
-
-Limitations: records without a field that the ledger reads (`Recording.records` raises the error).
-
-Replay of a whole recording, one segment after the other, and its result.
-
-A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on; within
-one, `run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded
-one. With other settings a replay shows the commands of the tick law, not the motion of the display.
-
-The result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
+Replay (`replay_recording`). It covers a whole recording, one segment after the other. In each,
+`run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded one.
+With other settings a replay shows the commands of the tick law, not the motion of the display. The
+result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
 Otherwise `first_difference` names that tick.
 """
 
@@ -56,6 +50,8 @@ from hapticd.run.replay import Difference, Segment, difference, replay
 from hapticd.settings.toml import SAMPLES_BYTES, regular
 
 __all__ = ["ReplayResult", "is_recording", "open_recording", "replay_recording", "total_j"]
+
+# --- opening --------------------------------------------------------------------------------------
 
 # errors of h5py, numpy and struct for a damaged file
 _UNREADABLE = (
@@ -338,6 +334,8 @@ def _flight(path: Path, header: dict[str, Any], records: Records) -> Recording:
     return Recording(path, attributes, {"probe": {}, **groups})
 
 
+# --- energy ledger --------------------------------------------------------------------------------
+
 GROUP = "energy"
 DATASETS = tuple(f"{name}_j" for name in NAMES)
 ROWS_AT_ONCE = 1 << 15
@@ -363,6 +361,9 @@ def total_j(recording: Recording) -> dict[str, float]:
         for _, sums in energies(recording):
             last = sums[-1]
     return dict(zip(NAMES, last.tolist(), strict=True))
+
+
+# --- replay ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

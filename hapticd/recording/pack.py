@@ -1,30 +1,23 @@
-"""The final file and its exports. The file is compressed, has checksums, and uses HDF5 1.8, which
-every Octave and MATLAB reads.
+"""The final file of a recording, its exports, and the part of it that is one trial.
 
-The source may be a live file, whose recorder ended or died, or a flight recording. Both files exist
-for a while, so the disk must have room for another one of that size. The final file is written
-under a temporary name, flushed to the disk and only then renamed, so it is complete or absent. A
-live file is then removed, if all its bytes were read. A source that cannot be packed is kept.
+Trial (`stretch`). A recording is longer than a trial. The trial is its longest stretch in which the
+servo was enabled, the probe perturbed the device (if it ever did) and nothing was changed. The
+ticks give the rendered environment, the largest command, and the lost slots. The second in which
+the device settles after the start of the perturbation is left out, as in a live trial. Limitations:
+a recording whose board restarted in the middle; another servo life then begins, which ends the
+stretch.
 
-Exports are MATLAB 5 (.mat) and comma-separated values. The computed columns of a finished file, the
-probe's signals in SI and seconds, are in the export of an unfinished one too. A text file ends with
-a line that begins with # and contains its origin, SIMULATED or not, and which part is one trial.
+Final file (`pack`). It is compressed, has checksums, and uses HDF5 1.8, which every Octave and
+MATLAB reads: it must use filters of HDF5 1.8 alone. The source may be a live file, whose recorder
+ended or died, or a flight recording. Both files exist for a while, so the disk must have room for
+another one of that size. The final file is written under a temporary name, flushed to the disk and
+only then renamed, so it is complete or absent. A live file must stay until then. It is removed
+afterwards, if all its bytes were read. A source that cannot be packed is kept.
 
-The final file must use filters of HDF5 1.8 alone. The live file must stay until the final one is on
-the disk.
-
-The part of a recording that is one trial, and the remark that stores it in a text file.
-
-A recording is longer than a trial. The trial is its longest stretch in which the servo was enabled,
-the probe perturbed the device (if it ever did) and nothing was changed. The ticks give the rendered
-environment, the largest command, and the lost slots. The second in which the device settles after
-the start of the perturbation is left out, as in a live trial.
-
-An exported text file has no attributes. Its last line, the remark, contains its origin and, for the
-probe's samples, which part is the trial.
-
-Limitations: a recording whose board restarted in the middle; another servo life then begins, which
-ends the stretch.
+Exports (`to_mat`, `to_csv`) are MATLAB 5 (.mat) and comma-separated values. The computed columns of
+a finished file, the probe's signals in SI and seconds, are in the export of an unfinished one too.
+A text file has no attributes. Its last line (`remark`) begins with # and contains its origin,
+SIMULATED or not, and for the probe's samples which part is the trial.
 """
 
 import csv
@@ -64,6 +57,8 @@ __all__ = [
     "to_csv",
     "to_mat",
 ]
+
+# --- trial ----------------------------------------------------------------------------------------
 
 SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "
@@ -197,6 +192,8 @@ def _fit(column: ReadColumn) -> Flags:
     found = next((fit for fit in (perturbed, enabled) if fit.any()), np.ones_like(enabled))
     return np.asarray(found)
 
+
+# --- final file -----------------------------------------------------------------------------------
 
 CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
@@ -342,6 +339,9 @@ def _dataset(group: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any],
     dataset = group.create_dataset(name, shape, kind, **storage)
     dataset.attrs["units"] = of_fixed_length(unit)
     return dataset
+
+
+# --- exports --------------------------------------------------------------------------------------
 
 
 def to_mat(recording: Recording, path: Path) -> Path:

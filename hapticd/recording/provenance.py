@@ -1,36 +1,27 @@
-"""The provenance of numbers: software and its versions; for a recording also device, configuration,
-machine, rights, clocks.
+"""The origin of numbers: calibrations and their doubts, certificate of the rig, and provenance.
 
-Every stored run or recording contains it, so that its numbers can be traced to the code, the
-libraries and the machine that made them. Libraries of extras are imported on first use, because the
-package must import without them.
+Calibrations (`doubts`). Each scale of a device file contains the date and the board of its
+measurement (`ScaleParams`). Measurements with the device depend on the scales of position and
+force, and of those that it has or relies on: active damping, probe, winding temperature,
+compensated resistance. A calibration is in doubt if its table has no date, a date after today, or
+one older than the device file's `calibration_days`. It is also in doubt if it belongs to another
+board, or if its scale of force has changed since (active damping is calibrated in newtons). A
+simulated device matches its file by definition and needs no calibration. `used_scales` must list
+every scale in use.
 
+Certificate (`certificate_of`, `certificate_beside`). `hapticd rig verify` writes it next to the
+device file, as rig/NAME-certificate-HASH.json. HASH is the first digits of the SHA-256 of the
+device file at that time. A changed file has no certificate of its own; the newest existing one
+describes its earlier state. Recordings, run folders and .zwidth files contain the result of these
+functions, not the certificate itself. Limitations: a device file on another machine than the client
+(it then has no certificate, without a message).
+
+Provenance (`provenance`, `of_recording`). It states the software and its versions; for a recording
+also device, configuration, machine, rights and clocks. Every stored run or recording contains it,
+so that its numbers can be traced to the code, the libraries and the machine that made them.
+Libraries of extras are imported on first use, because the package must import without them.
 Attributes of the daemon must come from its own messages, not from this machine, because the daemon
 may run on another one.
-
-The calibrations behind a device's numbers, and doubts about them.
-
-Each scale of a device file contains the date and the board of its measurement (`ScaleParams`).
-Measurements with the device depend on the scales of position and force, and of those that it has or
-relies on: active damping, probe, winding temperature, compensated resistance. A calibration is in
-doubt if its table has no date, a date after today, or one older than the device file's
-`calibration_days`. It is also in doubt if it belongs to another board, or if its scale of force has
-changed since, because active damping is calibrated in newtons.
-
-A simulated device matches its file by definition and needs no calibration.
-
-Every scale in use must be listed here.
-
-The certificate of a rig: the one that belongs to a device file, and whether that file has
-changed since.
-
-`hapticd rig verify` writes it next to the device file, as rig/NAME-certificate-HASH.json, with the
-first digits of the SHA-256 of the device file at that time. A changed file has no certificate of
-its own; the newest existing one describes its earlier state. Recordings, run folders and .zwidth
-files contain the result of `certificate_of` and `certificate_beside`, not the certificate itself.
-
-Limitations: a device file on another machine than the client (it then has no certificate, without a
-message).
 """
 
 import datetime
@@ -70,6 +61,8 @@ __all__ = [
     "used_scales",
     "versions",
 ]
+
+# --- calibrations ---------------------------------------------------------------------------------
 
 SAME_SCALE = 0.01  # relative: tolerance of a repeated gain
 
@@ -176,6 +169,8 @@ def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
         )
 
 
+# --- certificate ----------------------------------------------------------------------------------
+
 FOLDER = "rig"
 DIGITS = 12  # of a hash in a name
 CHANGED = "the device file has changed since; repeat `hapticd rig verify`"
@@ -222,6 +217,8 @@ def _told(path: Path, device_file_sha256: str) -> dict[str, Any] | None:
         "changed": "" if of == device_file_sha256 else CHANGED,
     }
 
+
+# --- provenance -----------------------------------------------------------------------------------
 
 SCHEMA = "hapticd-recording/1"
 SIMULATED_NOTICE = "SIMULATED: the device behind this recording was computed"
