@@ -1,4 +1,19 @@
-"""The tick law: from a position to a force, implemented once.
+"""The tick law, from a position to a force: filters, ramps, the law itself, and the energy ledger.
+
+Filters (`design`). They are second-order low-pass filters for the differentiated position.
+Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The
+paper (Weir, Colgate and Peshkin 2008, section 2) states "100 Hertz second order digital filter" for
+velocity and 72 Hz for acceleration. It states neither damping ratio nor mapping, so both are
+parameters. A filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2;
+z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
+
+A corner must be below half the rate (refused otherwise), and the rate must be the tick's.
+Coefficients must not be swapped under force: the force would jump now or swell for seconds.
+
+Ramps (`Ramp`). A parameter moves from one value to the next. Each ramp carries its own start tick,
+so several may overlap.
+
+Law (`render`). It is implemented once.
 
     v = LP_velocity[(x_n - x_{n-1}) / T]            second-order low-pass, 100 Hz
     a = LP_acceleration[(x_n - 2 x_{n-1} + x_{n-2}) / T^2]   second-order low-pass, 72 Hz
@@ -16,25 +31,10 @@ A compiler must use neither fastmath nor contraction (bits would differ from CPy
 coefficients must be for the rate. A limit must test that the force is not inside it, not that the
 force is outside: only the first is also true of NaN, which `clamp` then turns into 0.
 
-Second-order low-pass filters for the differentiated position.
-
-Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The
-paper (Weir, Colgate and Peshkin 2008, section 2) states "100 Hertz second order digital filter" for
-velocity and 72 Hz for acceleration. It states neither damping ratio nor mapping, so both are
-parameters. A filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2;
-z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
-
-A corner must be below half the rate (refused otherwise), and the rate must be the tick's.
-Coefficients must not be swapped under force: the force would jump now or swell for seconds.
-
-Ramps: a parameter on its way from one value to the next. Each carries its own start tick, so
-several may overlap.
-
-The servo's own energy ledger: its work, and the excess energy that it delivered.
-
-Work done on the device is positive. The force of the sample before last, or of an earlier one, is
-replaced by the newer force d periods after the newer sample. The interval between two samples, in
-which the device moves by dx, therefore contains both:
+Energy ledger (`book`). The servo's own ledger has its work, and the excess energy that it
+delivered. Work done on the device is positive. The force of the sample before last, or of an
+earlier one, is replaced by the newer force d periods after the newer sample. The interval between
+two samples, in which the device moves by dx, therefore contains both:
 
     dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
 
@@ -49,12 +49,10 @@ with F_e the unclamped part of the force of springs and walls, so that -F_e dx i
 they store. Energy that a ramp or a moving wall adds cancels in it. c is the damping that is
 certainly present: at least the device's own, and the active damping that the board reports. The sum
 leaks with k, slowly compared with any oscillation, and is reset to 0 when the device absorbed more
-than it received. Steady motion under a passive environment (Colgate and Schenkel 1997, with c as
-the physical damping) absorbs more than it receives at every frequency, so E keeps only the part
-that varies within a swing. A limit cycle grows beyond any bound.
-
-Limitations: forces outside the law that store energy (they count as work). Every clamp must be
-reported.
+than it received. Steady motion under a passive environment absorbs more than it receives at every
+frequency (Colgate and Schenkel 1997, with c as the physical damping). E therefore keeps only the
+part that varies within a swing. A limit cycle grows beyond any bound. Limitations: forces outside
+the law that store energy (they count as work). Every clamp must be reported.
 """
 
 import math
@@ -90,6 +88,8 @@ __all__ = [
     "steady",
     "wall_force",
 ]
+
+# --- filters --------------------------------------------------------------------------------------
 
 Biquad = tuple[float, float, float, float, float]
 MAPPINGS = ("prewarped", "bilinear", "matched")
@@ -147,6 +147,9 @@ def steady(biquad: Biquad, y: float) -> tuple[float, float]:
     return y - b0 * u, b2 * u - a2 * y
 
 
+# --- ramps ----------------------------------------------------------------------------------------
+
+
 class Ramp(NamedTuple):
     """From `start` at `start_tick` to `end` at `start_tick + ticks`; `ticks` = 0 steps at once."""
 
@@ -186,6 +189,8 @@ def approach(value: float, target: float, step: float) -> float:
         return value - step
     return target
 
+
+# --- law ------------------------------------------------------------------------------------------
 
 LawState = tuple[float, float, float, float, float, float]
 # The inputs of one tick, as `render` names them, then environment.FURTHER. An Environment does not
@@ -310,6 +315,8 @@ def clamp(force: float, limit: float) -> float:
         return 0.0
     return force
 
+
+# --- energy ledger --------------------------------------------------------------------------------
 
 # work [J], E [J], forces of the last three samples [N], F_e [N], v [m/s]
 Ledger = tuple[float, float, float, float, float, float, float]
