@@ -1,4 +1,4 @@
-"""Covariances of a long record from short transforms, with or without its linear trend.
+"""Covariances of a long record from short transforms, and the inner loops over records.
 
 Sections (Rader 1970, "An improved algorithm for high speed autocorrelation"). The record is cut
 into sections of M samples, each padded with zeros to 2 M and transformed once. Lags 0..M of section
@@ -18,14 +18,12 @@ The lag must not change while sums are kept. Blocks of unequal length in the two
 refused. Limitations: in a stream, an offset about 10^6 times the motion leaves no significant
 digits.
 
-The inner loops over records in numpy, and the choice between them and the compiled ones.
+Inner loops. `kernels` returns the loops of `compiled` if numba is installed, otherwise the others here.
+Both sets take the same arguments and agree to rounding; tests compare the compiled ones with these.
+No other module of the package needs a compiler.
 
-`kernels()` returns the loops of `compiled` if numba is installed, otherwise those below. Both sets
-take the same arguments and agree to rounding; tests compare the compiled ones with these. No other
-module of the package needs a compiler.
-
-    fitted_line, take_line_out    the linear trend of a signal (`covariances`)
-    accumulate                    spectral sums of neighbouring sections (`covariances`)
+    fitted_line, take_line_out    the linear trend of a signal
+    accumulate                    spectral sums of neighbouring sections
     local_fits                    Q and J of `resolved` about each of F frequencies
 
 About the bin p of a record, with r = (bin - p) / half from -1 to 1 and x = bin / p, `local_fits`
@@ -52,6 +50,7 @@ from numpy.polynomial import Polynomial
 from hapticd.core.arrays import Complexes, Floats, Integers, alternating, lazy_property
 from hapticd.core.errors import AnalysisError
 
+# --- inner loops ----------------------------------------------------------------------------------
 ORDER = 2  # of both polynomials
 TERMS = ORDER + 1
 FREQUENCIES_TOGETHER = 16  # frequencies at once: 1 MB
@@ -200,6 +199,7 @@ def accumulate(velocity: Complexes, force: Complexes, sums: Complexes) -> None:
         sums[row] += np.einsum("ij,ij->j", first, second)
 
 
+# --- covariances ----------------------------------------------------------------------------------
 TOGETHER = 32_768  # samples transformed together: their spectra stay in the second-level cache
 
 
