@@ -12,17 +12,17 @@ and Coulomb friction cancels in the mean. At rest
 
     s F + o + a w = 0,     w = m g r / R
 
-with the commanded F, newtons per commanded newton s, the offset o, the side a = +-1 to which the
-masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and o.
-Its residuals show whether the motor is linear. They give the intervals (Student's t), together with
-a friction that differs from reading to reading by a share REPEATS: a few masses may fit a line by
+with the commanded F, newtons per commanded newton s and the offset o. The masses hang at the radius
+r; R is that of the endpoint. They pull to the side a = +-1. The line F(w) gives s and o. Its
+residuals show whether the motor is linear. They give the intervals (Student's t), together with a
+friction that differs from reading to reading by a share REPEATS: a few masses may fit a line by
 chance.
 
 Limitations: a friction that differs from one reading to the next (it appears in the residuals).
 
 Spring (`measure_spring`). It gives the gain where no masses can hang from the handle. The spring of
-k [N/m] holds the handle, and a far wall pulls at it to either side, with LEVELS steps of force
-going up and the same going down again. At rest
+k [N/m] holds the handle, and a far wall pulls at it to either side. The force goes up in LEVELS
+steps and down again in the same ones. At rest
 
     s F + o = k (x - x0) +- f
 

@@ -1,7 +1,7 @@
 """Verify the display by known springs, dampers and masses, and the installation by known numbers.
 
 Display (`measure`). The probe measures springs, dampers and masses. Each is rendered, or attached
-by a hand, in addition to one constant environment, and Z is measured under short noise with it and
+by a hand, in addition to one constant environment. Z is measured under short noise with it and
 without it. Their difference is the known part alone:
 
     rendered    H(f) (K + B D1(z) + M D2(z)) / jw     hold, delay and filters of the law; the delay

@@ -16,10 +16,10 @@ same delay, by blocks.
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the device file.
 
-Limitations: a hand that lets the handle slip while it is held (the windows show it), or shakes it
-so slowly that the AC coupling of an amplifier has an effect. A winding that warms up by more than
-the interval allows: the resistance is that at the mean temperature of the rests, which is written
-with it.
+Limitations: a hand that lets the handle slip while it is held (the windows show it). A hand that
+shakes it so slowly that the AC coupling of an amplifier has an effect. A winding that warms up by
+more than the interval allows: the resistance is that at the mean temperature of the rests, which is
+written with it.
 
 Temperature (`measure_temperature`). The sensor is compared with a thermometer. A winding that was
 off for half an hour has the temperature of the room, which the operator states. Its sensor has to
