@@ -1,6 +1,6 @@
 """The checks of the doctor, and its report as one file.
 
-Checks (`CHECKS`). The table has their reasons, in the order in which they are shown.
+Checks (`CHECKS`). Their table has the reasons, in the order in which they are shown.
 
     probe (probes)  -> a sentence if all is well, otherwise a Flaw
     the row of CHECKS -> name, level, reason and remedy, unless the flaw has its own
