@@ -8,14 +8,14 @@ device is validated like a single file, and messages refer to the file and line 
 Schemas (`schema_text`). Every kind of file has a JSON schema, for editors (`#:schema` in the first
 line of a file) and `taplo check`.
 
-Limitations: a scene that changes a number of a table that its device does not have (the table then
-lacks its other numbers, and the message lists them).
+Limitations: a scene that changes a number of a table that its device does not have. The table then
+lacks its other numbers, and the message lists them.
 
 guard.json (`guard_setup`). It is the device model of the guard, composed once, as numbers. The
-model is the whole linear device of the device file, with the effects of a live board, or the one
-rigid mass of a simulated board without a model. A real device without a model has none, so
-passivity is unknown. A .zwidth file is valid only for the device file, rate and filters of its
-measurement; any difference is kept as the reason for its refusal.
+model is the whole linear device of the device file, with the effects of a live board. A simulated
+board without a model is one rigid mass. A real device without a model has none, so passivity is
+unknown. A .zwidth file is valid only for the device file, rate and filters of its measurement; any
+difference is kept as the reason for its refusal.
 
 JSON must not round numbers of the model (floats are written so that they are read back to the last
 bit).
