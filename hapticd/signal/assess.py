@@ -32,7 +32,7 @@ their means over the periods:
 the device repeats with the period. Averaging periods removes noise but not distortion, and the
 scatter between periods does not show it. Only other phases do, so the interval of one realisation
 covers noise alone and decides nothing. The mean spectra of several realisations have the form of
-`spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), so `judge` accepts them.
+`spectra.Spectra`, so `judge` accepts them. Their coherence is 1 / (1 + (R - 1) s^2 / (R |Y|^2)).
 
 Limitations: a motion that has not settled; lost samples (refused, because the force does not
 repeat); a single realisation.

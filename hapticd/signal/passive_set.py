@@ -21,7 +21,7 @@ at every frequency. "The Z-width envelope is iteratively updated as successive t
 (Weir, Colgate and Peshkin 2008, section 2). Every point keeps the trial that set it and the
 uncertainty of that trial, so each feature can be traced to a trial. Trials that are not passive do
 not widen the envelope. The uncertainty is that of the owner alone. The largest of many noisy values
-exceeds the true maximum by about one of its standard deviations, so confirm an owner with a second
+exceeds the true maximum by about one of its standard deviations. Confirm an owner with a second
 trial before quoting it.
 
 Admittance (`admittance`). Its envelope has maximum and minimum exchanged: 1/|Z|, minus the phase.
