@@ -1,17 +1,17 @@
-"""Parsing shared by verbs that change something.
+"""Verbs that change something: their numbers, the policy of the guard, and leases.
 
-An argument that is not a number or names no parameter is a usage error (exit 2), before any
-request.
+Parsing (`changes`, `change`). An argument that is not a number or names no parameter is a usage
+error (exit 2), before any request.
 
-Numbers typed by people, with corrections for typing mistakes.
+Numbers (`number`). A unit, a decimal comma and a name in place of a symbol are the usual mistakes
+in a number that a person types. The message contains the corrected text if there is only one
+interpretation: 100N/m is 100 where N/m is the unit, but 10g is not a mass in kg.
 
-A unit, a decimal comma and a name in place of a symbol are the usual mistakes. The message contains
-the corrected text if there is only one interpretation: 100N/m is 100 where N/m is the unit, but 10g
-is not a mass in kg.
+Guard (`guard`). The verb shows and changes the guard's response to environments that are not
+passive.
 
-The verb of the guard: show and change its response to environments that are not passive.
-
-Exclusive control: show leases, hold one, end another's.
+Leases (`lease_app`). A lease is exclusive control. The verbs show leases, hold one, and end
+another's.
 """
 
 import dataclasses
@@ -46,6 +46,7 @@ with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.core import process
 
+# --- numbers --------------------------------------------------------------------------------------
 SYMBOLS = {  # common names of parameters
     "stiffness": "K",
     "spring": "K",
@@ -159,6 +160,7 @@ def _is_signed(word: str) -> bool:
         return False
 
 
+# --- changes --------------------------------------------------------------------------------------
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
 
@@ -260,6 +262,7 @@ def _found_out(
     return dataclasses.replace(verdict, hand=event.hand), [event.text]
 
 
+# --- the guard ------------------------------------------------------------------------------------
 Policy = Annotated[
     params.Policy | None,
     typer.Argument(
@@ -336,6 +339,7 @@ def delay_lines(found: GuardStatus) -> list[str]:
     ]
 
 
+# --- leases ---------------------------------------------------------------------------------------
 lease_app = typer.Typer(
     no_args_is_help=True,
     help="Exclusive control of environment, active damping or perturbation: show, take, release.",

@@ -1,18 +1,17 @@
-"""Verbs of what leaves the daemon's own processes: the operators' page, bridges to other tools, and
-the keys of telemetry for other computers.
+"""Verbs for access from outside: the operators' page, bridges to tools, and telemetry keys.
 
-The operators' page, started manually; `hapticd run` starts it by itself.
+Page (`console`). It is started manually here; `hapticd run` starts it by itself. `--parent PID` is
+the supervisor with which it ends. With `--ready FD`, a byte is written to that descriptor once the
+page is served.
 
-`--parent PID` is the supervisor with which it ends. With `--ready FD`, a byte is written to that
-descriptor once the page is served.
-
-Bridges to laboratory tools: `hapticd bridge lsl`.
-
-Lab Streaming Layer (Kothe et al. 2025) synchronises EEG, eye trackers and other devices by one
-clock per host. On Linux that is CLOCK_MONOTONIC, which also stamps the servo's ticks, so they are
-sent unchanged. Lost ticks are left out, as the stamps of the others show.
+Bridges (`bridge_app`). `hapticd bridge lsl` sends telemetry to laboratory tools. Lab Streaming
+Layer (Kothe et al. 2025) synchronises EEG, eye trackers and other devices by one clock per host. On
+Linux that is CLOCK_MONOTONIC, which also stamps the servo's ticks, so they are sent unchanged. Lost
+ticks are left out, as the stamps of the others show.
 
 LSL must have been built with the same clock (checked at the start).
+
+Keys (`keys_app`). Telemetry goes to other computers only with CURVE keys.
 """
 
 import os
@@ -67,6 +66,7 @@ def console(
     server.serve(instance, port, on_stop, tell)
 
 
+# --- bridges --------------------------------------------------------------------------------------
 CHANNELS = {  # fields of a tick, and their units
     "position_m": "m",
     "velocity_m_per_s": "m/s",
@@ -120,6 +120,7 @@ def lsl(
             outlet.push_chunk(rows, (block.records["time_ns"] / NS_PER_S).tolist())
 
 
+# --- keys -----------------------------------------------------------------------------------------
 keys_app = typer.Typer(
     no_args_is_help=True,
     help="Make and try the CURVE keys without which telemetry does not leave this machine.",

@@ -1,6 +1,8 @@
-"""Simulate scenes: run and explain them, their effects, damping and accuracy; remedies.
+"""Verbs of simulation: scenes, and the simulated board on a real USB bus.
 
-The simulated board in a separate process, on a real USB bus: `hapticd sim-board`.
+Scenes (`sim_run`). They are run and explained, with their effects, damping, accuracy and remedies.
+
+Board (`sim_board`). `hapticd sim-board` serves the simulated board from a separate process.
 """
 
 import time
@@ -288,6 +290,7 @@ def remedies(
     common.show_result(found, lines, folder, (), as_json)
 
 
+# --- the simulated board --------------------------------------------------------------------------
 LOOPBACK = "127.0.0.1"
 MOST_PORT = 65535
 

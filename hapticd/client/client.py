@@ -1,20 +1,21 @@
-"""The synchronous client: one connection to a running daemon, with a time-out for every call.
+"""The synchronous client: one connection to a running daemon, and its leases.
 
-`GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that reports new
-connections, a SUB per subscription. Requests are sent only to a connected gateway (IMMEDIATE), so
-one that starts later finds no old commands in its queue; no message lingers after closing. `Client`
-carries out the exchanges of `commands`, like the client for asyncio (`aio`); `telemetry` reads the
-telemetry.
+Connection (`GatewayConnection`). It holds the sockets: a DEALER for requests (`requests`), a PAIR
+that reports new connections, a SUB per subscription. Requests are sent only to a connected gateway
+(IMMEDIATE), so one that starts later finds no old commands in its queue; no message lingers after
+closing. `Client` carries out the exchanges of `commands`, like the client for asyncio (`aio`);
+`telemetry` reads the telemetry.
 
-Every call ends within its time-out with a reply or an error. CommandError: the daemon refused;
-`code` and `detail` give the reason. DaemonDown: no answer, or the gateway has no servo.
+Calls (`Client`). Every call ends within its time-out with a reply or an error. CommandError: the
+daemon refused; `code` and `detail` give the reason. DaemonDown: no answer, or the gateway has no
+servo.
 
 numpy is loaded only by streams and waveforms: a verb at the shell does not wait for it.
 
 Requests of several threads take turns (a lease with keep-alive has its own thread); streams belong
 to one thread. A wait for a reply must have a deadline: a gateway may die between request and reply.
 
-A lease from the view of its holder: exclusive control of a part of the display.
+Lease (`ClientLease`). Its holder has exclusive control of a part of the display:
 
     with client.lease("environment", ttl_s=5) as lease:
         client.set(K=100)
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Client", "ClientLease"]
 
+# --- leases ---------------------------------------------------------------------------------------
 RENEWALS = 3  # within the time after which it would end
 KEPT_ALIVE = ("environment", "active_damping")
 
@@ -191,6 +193,7 @@ class ClientLease:
         return "" if ended.released else ended.text
 
 
+# --- the client -----------------------------------------------------------------------------------
 SLICE_MS = 20  # between checks whether another thread closes the connection
 
 

@@ -1,4 +1,4 @@
-"""Conditions of an experiment: their order, and a table that joins them to telemetry.
+"""Experiments: the order of conditions, a table that joins them to telemetry, and a staircase.
 
     conditions = sweep(K=(100, 200, 400), B=(1, 2))
     with Table(Path("session.csv"), answers=("response",)) as table, Client() as device:
@@ -7,21 +7,22 @@
                 table.begin(device.set(**condition.settings, ramp_s=0.2), condition)
                 table.answer(response=input("stiffer? "))
 
-The order (`blocks`, `pairs`) is random but balanced, and the same for the same seed. Each block
+Order (`blocks`, `pairs`). It is random but balanced, and the same for the same seed. Each block
 contains each condition once; half of the pairs begin with A. Learning and fatigue then affect all
 conditions alike (Fisher 1935, The Design of Experiments).
 
-A row of the table contains the revision and the ticks of the receipt, and the guard's verdict.
-`guard_safe` is True, False or empty (unknown or not judged). `guard_margin` is the margin of
-damping [N s/m] in free space or in the wall, whichever is smaller. Both refer to the request. If a
-policy reduced it, K, B, M and damping show the values in force. Every record of `servo.raw`
+Table (`Table`, `joined`). A row contains the revision and the ticks of the receipt, and the guard's
+verdict. `guard_safe` is True, False or empty (unknown or not judged). `guard_margin` is the margin
+of damping [N s/m] in free space or in the wall, whichever is smaller. Both refer to the request. If
+a policy reduced it, K, B, M and damping show the values in force. Every record of `servo.raw`
 contains its revision. So `joined` returns for each condition exactly the ticks in which it was in
 force, without ramps. The clocks of both programs do not matter.
 
 Take the lease of the environment: a change by another client is another revision, whose ticks
 belong to no row.
 
-An adaptive staircase: the level at which a person answers correctly in a known share of trials.
+Staircase (`Staircase`). It finds the level at which a person answers correctly in a known share of
+trials:
 
     staircase = Staircase(0.5)
     while not staircase.finished:
@@ -173,6 +174,7 @@ def joined(path: Path, records: Records) -> Iterator[tuple[dict[str, str], Recor
             yield row, records[there & settled]
 
 
+# --- the staircase --------------------------------------------------------------------------------
 DISCARDED = 2  # reversals that depend on the first level
 
 

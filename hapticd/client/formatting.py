@@ -1,12 +1,11 @@
-"""Receipts, verdicts and events as text: one wording for terminal and page.
+"""Receipts, verdicts and events as text, and the warning about an unsafe environment.
 
-Its imports must be small, because `hapticd --help` loads it. An event of an unknown kind is shown
-as its fields.
+Text (`receipt_text`, `event_words`). Terminal and page have the same wording. The imports of this
+module must be small, because `hapticd --help` loads it. An event of an unknown kind is shown as its
+fields.
 
-The warning about an unsafe environment.
-
-`GuardWarnings` emits one `GuardWarning` for each environment that is or will be in force although
-its verdict is not safe.
+Warning (`GuardWarnings`). There is one `GuardWarning` for each environment that is or will be in
+force although its verdict is not safe.
 
 Limitations: with a filter that turns warnings into errors, the change has acted before the error is
 raised. With `Client(strict=True)` no unsafe change acts.
@@ -232,6 +231,7 @@ def _plain(event: Event) -> str:
     return f"{event.kind}: {', '.join(shown)}"
 
 
+# --- the warning ----------------------------------------------------------------------------------
 DONE = ("applied", "scheduled", "staged")  # results of a change that acts, or will
 FALLBACK = "ask for less of K, B and M"  # if the verdict has no sufficient value
 

@@ -1,16 +1,15 @@
-"""Telemetry for clients: raw messages of a SUB socket (`Subscription`), and the blocks and events
-in them (`TelemetryReader`).
+"""Telemetry and requests of the clients, as bytes and as messages.
 
-The socket connects to the socket file of a daemon on this computer (`client`), or to the port of
-one on another (`listener`). The messages are the same.
+Telemetry (`Subscription`, `TelemetryReader`). The one gives raw messages of a SUB socket, the other
+the blocks and events in them. The socket connects to the socket file of a daemon on this computer
+(`client`), or to the port of one on another (`listener`). The messages are the same.
 
-Only one thread may use it, since a ZeroMQ socket belongs to one.
+Only one thread may use the socket, since a ZeroMQ socket belongs to one.
 
-Requests and replies as bytes; the caller passes the time, and a time-out is a value.
-
-Each request has a number that its reply repeats. So a reply that arrives after its time-out is
-recognised and dropped, and never taken for the answer to a later request. The synchronous client
-(`client`) and that of asyncio (`aio`) transport these bytes in two ways.
+Requests (`RequestTracker`). They and their replies are bytes. The caller passes the time, and a
+time-out is a value. Each request has a number that its reply repeats. So a reply that arrives after
+its time-out is recognised and dropped, and never taken for the answer to a later request. The
+synchronous client (`client`) and that of asyncio (`aio`) transport these bytes in two ways.
 
 Each socket must have one tracker, since every tracker counts from 1.
 """
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["accepted", "receipt_of"]
 
+# --- requests -------------------------------------------------------------------------------------
 PROTOCOL_VERSION = 1
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off must not wait for a gateway
 
@@ -228,6 +228,7 @@ def socket_file(folder: Path, name: str) -> Path:
     return path
 
 
+# --- telemetry ------------------------------------------------------------------------------------
 MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
 IDLE_MS = 100
 

@@ -1,8 +1,9 @@
-"""One open page: its queue of outgoing messages, and its requests.
+"""One open page: its queue of outgoing messages, its commands, and its access control.
 
-Three kinds of messages wait, and are sent in this order. Replies and events go first; they are few,
-and only a browser that reads nothing loses the oldest of WORDS. Of state messages only the newest
-of each kind waits. Telemetry frames wait in a queue of FRAMES places, which drops the oldest.
+Queue (`Outbox`, `Browser`). Three kinds of messages wait, and are sent in this order. Replies and
+events go first; they are few, and only a browser that reads nothing loses the oldest of WORDS. Of
+state messages only the newest of each kind waits. Telemetry frames wait in a queue of FRAMES
+places, which drops the oldest.
 
 Bytes passed to the operating system can no longer be dropped, and its buffers hold many seconds of
 telemetry. So at most WINDOW unacknowledged frames are in transit. After a pause, a slow or stalled
@@ -10,12 +11,10 @@ browser receives at most that many old frames and then the newest.
 
 Messages must not each have their own kind: the queue would then be unbounded.
 
-The commands of one browser, sent by a separate client and thread.
-
-A separate client binds leases to the browser: they end with its socket. A page may send the
-commands of ALLOWED. `stop` is not among them: it has a path of its own that waits for nothing
-(`server`). A reply is that of the daemon, with the receipt, or the refusal, in the wording of the
-command line.
+Commands (`Asker`). Each browser has a separate client and thread for them. The client binds leases
+to the browser: they end with its socket. A page may send the commands of ALLOWED. `stop` is not
+among them: it has a path of its own that waits for nothing (`server`). A reply is that of the
+daemon, with the receipt, or the refusal, in the wording of the command line.
 
 Requests that were sent before a stop and still wait are dropped: a `reset` and `enable` pressed
 just before STOP must not follow it. Requests of a closed page are dropped as well: its connection
@@ -23,13 +22,12 @@ ends at once, and the gateway discards them.
 
 The `close` of a client must not wait for its last answer.
 
-Access control of the page: only browsers of this computer that loaded it from here.
-
-The server listens only on 127.0.0.1, but any web page can make a browser send requests to it. Two
-headers, which no script can forge, reveal such a page. `Host` is the name used by the browser; a
-foreign name was resolved to this computer by a foreign name server. `Origin` is the page that
-sends. Every request needs a host of HOSTS. An origin has to be that host, and a request for the
-socket has to have one. The port is not checked, so that an ssh tunnel may end at another one.
+Access (`objection`, `Visitors`). Only browsers of this computer that loaded the page from here have
+access. The server listens only on 127.0.0.1, but any web page can make a browser send requests to
+it. Two headers, which no script can forge, reveal such a page. `Host` is the name used by the
+browser; a foreign name was resolved to this computer by a foreign name server. `Origin` is the page
+that sends. Every request needs a host of HOSTS. An origin has to be that host, and a request for
+the socket has to have one. The port is not checked, so that an ssh tunnel may end at another one.
 
 No header identifies the sending program: 127.0.0.1 has no owner, and every account of the computer
 may connect to it. The kernel has this information (/proc/net/tcp, and tcp6 for a program that
@@ -77,6 +75,7 @@ from hapticd.model.excitation import Stream, band_noise, generator
 from hapticd.model.scene import Excitation
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, answer_of
 
+# --- commands -------------------------------------------------------------------------------------
 EXCITE = "excite"  # own command: noise as in a trial, repeated until stopped
 CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))
 ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
@@ -172,6 +171,7 @@ def _refused(number: Any, code: str, text: str, outcome: str = "") -> str:
     return json.dumps(content | {"outcome": outcome})  # of the guard
 
 
+# --- the queue ------------------------------------------------------------------------------------
 WORDS = 256  # replies and events
 FRAMES = 25  # half a second at 50 frames/s
 WINDOW = 25  # unacknowledged frames in transit
@@ -258,6 +258,7 @@ class Browser:
         return request
 
 
+# --- access ---------------------------------------------------------------------------------------
 HOSTS = ("127.0.0.1", "localhost")
 STOP_PATH = "/stop"
 CONNECTIONS = Path("/proc/net/tcp")

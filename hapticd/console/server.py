@@ -1,4 +1,6 @@
-"""The web server of the operators' page.
+"""The web server of the operators' page, and recording from the page.
+
+Server (`serve`). Its paths:
 
     GET  /       the page; it shows that the board is SIMULATED without any script
     GET  /static its files; nothing is loaded from elsewhere
@@ -20,11 +22,10 @@ pages find it again. A folder that this user may not write (the service's) gets 
 The loop must wait only in `await`, and listen on no address of the network. The web server must log
 as LOGGER, and name the protocol of a failed connection.
 
-Recording from the page: `hapticd record` as a separate process, one at a time.
-
-It is that verb, so the file is the same. If the page or the console dies, the recorder ends in
-order: it receives SIGTERM when the console dies, which finishes the file. Files go to the folder in
-which the console was started; no text from a page becomes part of a path.
+Recording (`Recorder`). `hapticd record` runs as a separate process, one at a time. It is that verb,
+so the file is the same. If the page or the console dies, the recorder ends in order: it receives
+SIGTERM when the console dies, which finishes the file. Files go to the folder in which the console
+was started; no text from a page becomes part of a path.
 
 `--parent` makes the kernel send SIGTERM when this process dies in any way. A long-lived thread must
 start it, for the kernel watches that thread.
@@ -73,6 +74,7 @@ from hapticd.mailbox.files import CONSOLE, write_whole
 
 __all__ = ["serve"]
 
+# --- recording ------------------------------------------------------------------------------------
 LONGEST_NOTE = 500
 LIVE = ".part.h5"  # suffix of a recording in progress
 FILE_LOOK_S = 0.05  # until the file exists
@@ -146,6 +148,7 @@ def _ending(out: bytes, err: bytes) -> str:
     return f"{found['file']}: {found['seconds']:.1f} s, {found['records']} ticks, {missing} missing"
 
 
+# --- the server -----------------------------------------------------------------------------------
 ADDRESS = "127.0.0.1"
 DEFAULT_PORT = 9873  # next to telemetry's; an ephemeral one if taken
 STATIC = Path(__file__).with_name("static")

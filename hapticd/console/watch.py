@@ -1,22 +1,22 @@
-"""Telemetry for browsers: a thread converts the gateway's messages to frames.
+"""Live data for browsers: telemetry in frames, and the impedance while the device is excited.
 
-A frame is one binary message. It consists of the length of its header (u32, little-endian), the
-header as JSON, spaces up to a multiple of 8 bytes, and the columns. A column has one float64 per
-tick. A browser reads the columns in place. COLUMNS names them with their units; `now` in the header
-contains the newest record's own values, for lamps and numbers. All other messages are JSON text:
-`state`, `event` (with its `words`) and `guard` as published.
+Frames (`Watch`, `frame`). A thread converts the gateway's messages to frames. A frame is one binary
+message. It consists of the length of its header (u32, little-endian), the header as JSON, spaces up
+to a multiple of 8 bytes, and the columns. A column has one float64 per tick. A browser reads the
+columns in place. COLUMNS names them with their units; `now` in the header contains the newest
+record's own values, for lamps and numbers. All other messages are JSON text: `state`, `event` (with
+its `words`) and `guard` as published.
 
 Each block of the gateway becomes a frame on arrival: 50 a second.
 
 No function in `publish` may take longer than a few milliseconds, because it runs in this thread.
 The gateway drops messages that are not read within 100 messages.
 
-Live impedance from the probe stream: a running estimate while the device is excited.
-
-Force and velocity of the last WINDOW_S seconds go through the same estimator as those of a trial
-(`signal.spectra`, `signal.impedance`), with a wider window. It runs twice a second, in a separate
-thread with its own client. Without an excitation it does not subscribe to the probe. The estimate
-is not a verdict: the record is short and not judged, and parameters may change within it.
+Impedance (`Probing`). It is a running estimate from the probe stream. Force and velocity of the
+last WINDOW_S seconds go through the same estimator as those of a trial (`signal.spectra`,
+`signal.impedance`), with a wider window. The estimate is made twice a second, in a separate thread
+with its own client. Without an excitation it does not subscribe to the probe. The estimate is not a
+verdict: the record is short and not judged, and parameters may change within it.
 
 Lost samples are reported, not repaired: each gap corrupts at most LAG of the averaged products.
 Limitations: an excitation that the probe does not measure.
@@ -46,6 +46,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS
 
+# --- impedance ------------------------------------------------------------------------------------
 PROBE = "probe"
 WINDOW_S = 5.0
 LEAST_S = 1.0
@@ -150,6 +151,7 @@ def _scaled(counts: Any, scale: dict[str, Any]) -> Any:
     return scale["sign"] * (counts - float(scale["offset_count"])) * scale["per_count"]
 
 
+# --- frames ---------------------------------------------------------------------------------------
 RETRY_S = 0.25  # between checks for a missing daemon
 TICKS = "servo.raw"
 TOPICS = (TICKS, "state", "event", "guard")

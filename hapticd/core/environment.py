@@ -1,22 +1,22 @@
-"""The rendered impedance and the active damping as one value, with one table of its fields.
+"""The rendered impedance and the active damping as one value, and limits declared with a setting.
 
-A haptic display renders a virtual stiffness K on raw position, a virtual damping B and a virtual
-mass M on filtered derivatives, and a unilateral wall. The board adds active damping electrically
-(Weir, Colgate and Peshkin 2008, sections 2 and 4). An `Environment` contains all of these at one
-time.
+Environment (`Environment`). A haptic display renders a virtual stiffness K on raw position, and a
+unilateral wall. A virtual damping B and a virtual mass M act on filtered derivatives. The board
+adds active damping electrically (Weir, Colgate and Peshkin 2008, sections 2 and 4). An
+`Environment` contains all of these at one time.
 
-It has two other forms: a row of doubles, by the slots of a command in the mailbox, and columns of a
-telemetry record. Each number is declared with its row of the table FIELDS: its names in all three
-forms and in messages, its unit and range, and the effect of a change. Every translation is derived
-from the table.
+Fields (`EnvironmentField`). An environment has two other forms: a row of doubles, by the slots of a
+command in the mailbox, and columns of a telemetry record. Each number is declared with its row of
+the table FIELDS: its names in all three forms and in messages, its unit and range, and the effect
+of a change. Every translation is derived from the table.
 
 `workspace` is configured once and has no row in the table, because no command changes it.
 
-Limits of a setting, declared with it: `rate_hz: Annotated[float, Constraints(ge=50)]`.
+Limits (`Constraints`). A setting declares its own: `rate_hz: Annotated[float, Constraints(ge=50)]`.
 
 The parameters of one TOML table (`TableParams`) are declared once, in `core.params`: fields are
 keys, defaults are those of the file, and attribute docstrings describe a key in the JSON schema.
-`settings` passes these classes to pydantic, which calls the methods below. No code here imports
+`settings` passes these classes to pydantic, which calls their methods. No code here imports
 pydantic, and the servo process runs without it.
 """
 
@@ -50,6 +50,9 @@ __all__ = [
     "WorkspaceParams",
     "flat",
 ]
+
+
+# --- limits ---------------------------------------------------------------------------------------
 
 
 class Constraints:
@@ -90,6 +93,7 @@ ServoRateHz = Annotated[float, Constraints(ge=50, le=20_000)]
 Microseconds = Annotated[float, Constraints(ge=0, le=1000)]
 
 
+# --- the environment ------------------------------------------------------------------------------
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 
 

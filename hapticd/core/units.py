@@ -1,10 +1,11 @@
-"""Constants and small conversions. All values above the wire are in SI; names contain the unit.
+"""Constants, units in names, small conversions, and clocks.
 
-Clocks, passed to all code that waits or takes time stamps.
+Units (`unit_of`). All values above the wire are in SI; names contain the unit.
 
-`MonotonicClock` is the machine's CLOCK_MONOTONIC. `VirtualClock` advances only when it is moved, so
-the whole stack runs in lock-step, faster than real time and without sleeping. Readings are integer
-nanoseconds since an arbitrary origin.
+Clocks (`Clock`). A clock is passed to all code that waits or takes time stamps. `MonotonicClock` is
+the machine's CLOCK_MONOTONIC. `VirtualClock` advances only when it is moved, so the whole stack
+runs in lock-step, faster than real time and without sleeping. Readings are integer nanoseconds
+since an arbitrary origin.
 """
 
 import time
@@ -89,6 +90,9 @@ UNITS = {
 def unit_of(name: str) -> str:
     """Return the unit in the suffix of a field's name; empty for a pure number or a word."""
     return next((unit for suffix, unit in UNITS.items() if f"_{name}".endswith(suffix)), "")
+
+
+# --- clocks ---------------------------------------------------------------------------------------
 
 
 class Clock(ABC):

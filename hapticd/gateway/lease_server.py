@@ -1,5 +1,6 @@
-"""The effects of leases at the servo: the command `lease`, and the actions when a lease starts or
-ends.
+"""The effects of leases at the servo, and the waveform of the perturbation.
+
+Leases (`LeaseServer`). It serves the command `lease`, and acts when a lease starts or ends:
 
     start        scheduled changes of its parts by other clients are cancelled; the records name its
                  holder
@@ -19,11 +20,10 @@ with all its connections. Those leases count as failed, with the configured `at_
 
 `tend` must be called in every pass, and `heard` with every answer of the servo.
 
-Transfer the perturbation waveform into the segment from which the servo plays it.
-
-It arrives in consecutive chunks (a message holds 64 kB) and is converted from newtons into counts
-of the board's probe converter. The caller (`commands`) checks that no waveform is playing; the
-segment is written only then.
+Waveform (`Waveform`). It is transferred into the segment from which the servo plays it. It arrives
+in consecutive chunks (a message holds 64 kB) and is converted from newtons into counts of the
+board's probe converter. The caller (`commands`) checks that no waveform is playing; the segment is
+written only then.
 
 All chunks of a waveform come from one client (a second client is refused). A new life of the servo
 starts without a waveform.
@@ -257,6 +257,9 @@ class LeaseServer:
             wrong[Value.LIMIT_CYCLE_FAULTS] = 0.0
         if wrong:
             self._do(Command.SET, wrong)
+
+
+# --- the waveform ---------------------------------------------------------------------------------
 
 
 class Waveform:

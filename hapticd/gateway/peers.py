@@ -1,6 +1,6 @@
-"""Connections: the addresses of one kind of socket, and the connected peers.
+"""Connections of the gateway: the addresses of one kind of socket, its peers, and their protocol.
 
-No call waits, and the cost of every peer is bounded:
+Peers (`Port`, `Peer`). No call waits, and the cost of every peer is bounded:
 
     peers        MOST_PEERS at an address; further ones are closed
     handshake    HANDSHAKE_NS, then the connection ends
@@ -15,7 +15,8 @@ unanswered for SILENCE_S. A peer is identified by a number that is never reused.
 
 `receive` must be called in every pass: a peer with unparsed input is not read before that.
 
-ZMTP 3.0, the protocol of ZeroMQ, for one side of one connection: bytes in, messages out. No I/O.
+Protocol (`Session`). ZMTP 3.0 is the protocol of ZeroMQ. A session is one side of one connection:
+bytes in, messages out, no I/O.
 
     greeting   64 bytes: signature FF .. 7F, version 3.0, mechanism NULL, filler
     READY      a command with the kind of socket; an incompatible kind is refused
@@ -44,6 +45,7 @@ from itertools import count
 from hapticd.core.errors import WireError
 from hapticd.core.units import NS_PER_S
 
+# --- the protocol ---------------------------------------------------------------------------------
 _MECHANISM = b"NULL".ljust(20, b"\0")
 GREETING = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x00" + _MECHANISM + bytes(32)
 VERSION_PLACE = 10
@@ -201,6 +203,7 @@ def _properties(data: bytes) -> dict[bytes, bytes]:
     return found
 
 
+# --- peers ----------------------------------------------------------------------------------------
 MOST_PEERS = 128
 READ_BYTES = 64 * 1024
 QUEUED_BYTES = 1 << 20

@@ -1,7 +1,7 @@
-"""The gateway process: its event loop.
+"""The gateway process: its event loop and its sockets.
 
-A client that stops reading fills its own queue and loses messages; one that sends too much at once
-is disconnected, or read later; one that dies is forgotten (`peers`).
+Loop (`GatewayServer`). A client that stops reading fills its own queue and loses messages; one that
+sends too much at once is disconnected, or read later; one that dies is forgotten (`peers`).
 
 One pass of the loop writes the heartbeat, reads the sockets, serves up to 20 requests (stops
 first), sends due replies and notes subscriptions. Every 10 ms it publishes the content of the ring.
@@ -14,7 +14,7 @@ one every millisecond. Sends never block.
 No request or publication may take longer than the servo's timeout of the heartbeat (1 s). A folder
 has one gateway: the claim is taken before any socket is bound.
 
-The sockets of the gateway: two socket files in the runtime folder and one TCP port.
+Sockets (`Sockets`). There are two socket files in the runtime folder, and one TCP port:
 
     ROUTER  ipc://<runtime folder>/command     requests and replies
     XPUB    ipc://<runtime folder>/telemetry   topics, for this machine
@@ -70,6 +70,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
+# --- sockets --------------------------------------------------------------------------------------
 # Linux reserves 108 bytes, the last of which is 0
 LONGEST_PATH = 107  # of a socket file
 REPLIES_QUEUED = 200
@@ -211,6 +212,7 @@ def endpoint_of(listener: socket.socket) -> str:
     return f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}"
 
 
+# --- the loop -------------------------------------------------------------------------------------
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between polls for an outstanding answer
 WATCHFUL_MS = 1  # instead of 10, after a receipt: the board reports one or two ticks later

@@ -1,21 +1,19 @@
-"""Durations of the ticks of a servo life: each stage, and the late ticks by cause.
+"""Numbers of a servo life for the status: its tick times, and the compensation of the winding.
 
-The duration of each stage is counted in a histogram with logarithmic bins: 40 bins a decade from 10
-ns to 100 ms, so a percentile is exact to 6 %, whatever its size. A record contains the cause if the
-tick before it was late (`mailbox.layout.LateCause`). The first seconds after the start (`grace_s`)
-are left out. Late events and lost slots are counters of the servo; a histogram cannot show missing
-ticks.
+Tick times (`TickTimes`). Late ticks are counted by cause. The duration of each stage is counted in
+a histogram with logarithmic bins: 40 bins a decade from 10 ns to 100 ms, so a percentile is exact
+to 6 %, whatever its size. A record contains the cause if the tick before it was late
+(`mailbox.layout.LateCause`). The first seconds after the start (`grace_s`) are left out. Late
+events and lost slots are counters of the servo; a histogram cannot show missing ticks.
 
-The duration of a tick is the sum of the medians of its stages without the wake-up, transfers
-included. If less than a quarter of its period is left, the daemon warns once per servo life, with
-the highest rate that leaves it.
+Room (`room_of`). The duration of a tick is the sum of the medians of its stages without the
+wake-up, transfers included. If less than a quarter of its period is left, the daemon warns once per
+servo life, with the highest rate that leaves it.
 
-The compensation of the winding's resistance, from the newest record.
-
-The record contains the count of the resistance compensation and the temperature of the sensor. The
-compensated resistance is base + trim. The actual resistance is known only with a sensor; without
-one the residual, and with it the loop gain, is unknown (the servo then compensates the minimum
-resistance of the winding). The physics is in `render.winding`.
+Compensation (`compensation`). The newest record contains the count of the resistance compensation
+and the temperature of the sensor. The compensated resistance is base + trim. The actual resistance
+is known only with a sensor; without one the residual, and with it the loop gain, is unknown (the
+servo then compensates the minimum resistance of the winding). The physics is in `render.winding`.
 
 The servo keeps the count of a board without the DAC at 0.
 """
@@ -146,6 +144,9 @@ def room_of(stages: Mapping[str, Mapping[str, Any]], rate_hz: float) -> Room:
     tick_us = sum(stages[stage]["p50_us"] for stage in WORK)
     highest_hz = (1.0 - LEAST_IDLE_SHARE) * US_PER_S / max(tick_us, 1.0)
     return Room(tick_us, period_us, highest_hz // RATE_STEP_HZ * RATE_STEP_HZ)
+
+
+# --- the winding ----------------------------------------------------------------------------------
 
 
 def compensation(record: dict[str, Any], device: DeviceParams) -> dict[str, Any] | None:

@@ -1,10 +1,11 @@
-"""The gateway's side of the mailbox: it posts commands and reads answers and telemetry.
+"""The gateway's side of the mailbox, and the limits on the K, B and M that a client may request.
 
-Limits on the K, B and M that a client may request of a device: they catch mistaken units.
+Mailbox (`GatewayMailbox`). The gateway posts commands and reads answers and telemetry.
 
-A limit is ROOM times the end of the passive range of the device on that axis alone, with the most
-active damping. Without a model of that range it is the stated number. Both stay inside
-VALUE_LIMITS, which the schema, the mailbox and the servo check separately.
+Limits (`environment_limits`). They catch mistaken units. A limit is ROOM times the end of the
+passive range of the device on that axis alone, with the most active damping. Without a model of
+that range it is the stated number. Both stay inside VALUE_LIMITS, which the schema, the mailbox and
+the servo check separately.
 
 Limitations: a mistaken unit with a factor below ROOM is not caught.
 """
@@ -34,6 +35,7 @@ __all__ = [
     "environment_limits",
 ]
 
+# --- limits on K, B and M -------------------------------------------------------------------------
 ROOM = 10.0
 AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}
 # for an unknown or empty passive range: at least three times the passive range of any shipped
@@ -71,6 +73,7 @@ def _shown(limit: float) -> float:
     return float(f"{limit:.3g}")
 
 
+# --- the mailbox ----------------------------------------------------------------------------------
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 
 

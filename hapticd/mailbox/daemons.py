@@ -1,26 +1,27 @@
-"""The folders in which a daemon may run: which of them are trusted, and which daemons are alive.
+"""The daemons of this computer: their folders, and the stop word that ends their force.
 
-A daemon derives its folder from its own environment at its start. The environment of another
-process (a session, an ssh login, cron, systemd) may differ, so every place is searched.
+Folders (`runtime_folders`). A daemon derives its folder from its own environment at its start. The
+environment of another process (a session, an ssh login, cron, systemd) may differ, so every place
+is searched.
 
-A folder is trusted if it is a directory and not a link, belongs to this user, and no other user may
-write it. The service's folder belongs to another user; it is trusted because only root can create
-its path. Any user can create names in shared memory and in the temporary folder, as a trap for
-another. Such a folder is refused with its name, and no file in it is opened.
+Trust (`require_trusted`). A folder is trusted if it is a directory and not a link, belongs to this
+user, and no other user may write it. The service's folder belongs to another user; it is trusted
+because only root can create its path. Any user can create names in shared memory and in the
+temporary folder, as a trap for another. Such a folder is refused with its name, and no file in it
+is opened.
 
-A daemon is alive if it holds the stop word or listens at the gateway's socket. Files alone prove
-nothing: a killed daemon leaves them all behind.
+Life (`is_running`). A daemon is alive if it holds the stop word or listens at the gateway's socket.
+Files alone prove nothing: a killed daemon leaves them all behind.
 
-It must have no large import at the top and must not wait: `hapticd stop` starts with this module.
+This module must have no large import at the top and must not wait: `hapticd stop` starts with this
+module.
 
-The stop word: a file of eight bytes with which any process that may write it can stop the servo,
-and do nothing else.
-
-Zero bytes mean not pressed. Everything else is a stop: other content, a shorter or longer file, a
-removed or replaced one. Eight bytes that are the number of a client (little-endian, from
-FIRST_CLIENT on) make it that client's stop. That client may reset it at once, as after a stop
-through the gateway. Every other press belongs to ACTOR_STOP_WORD. A process that writes another
-client's number gives away its own stop, and takes no other.
+Stop word (`StopWord`, `press_stop`). It is a file of eight bytes, with which any process that may
+write it can stop the servo, and do nothing else. Zero bytes mean not pressed. Everything else is a
+stop: other content, a shorter or longer file, a removed or replaced one. Eight bytes that are the
+number of a client (little-endian, from FIRST_CLIENT on) make it that client's stop. That client may
+reset it at once, as after a stop through the gateway. Every other press belongs to ACTOR_STOP_WORD.
+A process that writes another client's number gives away its own stop, and takes no other.
 
 The servo reads the word in every tick with `pread`, from a descriptor that it opened itself. This
 takes 0.4 us and maps no page of a file that another process may truncate (a load beyond its end
@@ -31,9 +32,10 @@ A write could wait: a process that writes or reserves 100 MB in the file holds i
 So the servo never writes or truncates a word that other processes can open. A press stops in every
 tick until no force acts. Then `take_back` creates a new file under another name and renames it over
 the old one, which needs no access to the old one. That is the acknowledgement: a process that has
-pressed and reads zero again under the name knows that the servo has read the press and that the
-force is off. The old file lives as long as a process has it open. If it is large, the last process
-that closes it frees it; if that is the servo, it may miss ticks (0.1 s for 1 GB), without force.
+pressed and reads zero again under the name knows that the servo read the press. It also knows that
+the force is off. The old file lives as long as a process has it open. If it is large, the last
+process that closes it frees it; if that is the servo, it may miss ticks (0.1 s for 1 GB), without
+force.
 
 Every 256 ticks `mend` compares the file under the name with the one that the servo made. If they
 differ, the loop's file becomes an empty one: a press, which is taken back like any other.
@@ -43,7 +45,7 @@ locked by its owner: the lock shows a client that a servo is alive. A client tha
 just before the rename presses once more (`press_stop`).
 
 Limitations: a runtime folder on a file system where `pread` waits for a writer (XFS does, tmpfs and
-ext4 do not), or a group that may write the folder.
+ext4 do not). A group that may write the folder.
 """
 
 import fcntl
@@ -79,6 +81,7 @@ __all__ = [
     "untrusted_daemon_folder",
 ]
 
+# --- the stop word --------------------------------------------------------------------------------
 NOT_PRESSED = bytes(8)
 ACTOR_STOP_WORD = 2  # of a press without a client
 FIRST_CLIENT = 16  # lower numbers are parts of the daemon
@@ -238,6 +241,9 @@ def _opened(path: Path, access: int) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+# --- folders --------------------------------------------------------------------------------------
 
 
 class RuntimeFolder(NamedTuple):

@@ -1,12 +1,11 @@
-"""What a rig's measurements leave on the disk: values in the device file, and the certificate.
+"""Output files of a rig's measurements: the device file and the certificate.
 
-Write measured values into a device file, and leave comments and all other text unchanged.
-
-tomlkit edits the text: existing values in place, missing keys after the last key of their table,
-missing tables at the end. The result does not rely on tomlkit alone: another parser reads the new
-text, which must contain the old data with only these values changed. Then it is validated like
-every device file, in a temporary file that replaces the old one atomically. Until then the old file
-is untouched, whatever fails.
+Device file (`write_changes`). Measured values are written into it; comments and all other text
+stay. tomlkit edits the text: existing values in place, missing keys after the last key of their
+table, missing tables at the end. The result does not rely on tomlkit alone: another parser reads
+the new text, which must contain the old data with only these values changed. Then it is validated
+like every device file, in a temporary file that replaces the old one atomically. Until then the old
+file is untouched, whatever fails.
 
 A table may be nested, like `model.masses`. Tables with `measured_on`, `measured_by`, `serial`,
 `half_width_95` and `source` record when, by which step, on which board and with which interval
@@ -15,13 +14,12 @@ records are kept next to the device file (`keep`), which names them with their S
 
 Limitations: if two programs write at the same time, the last one wins, with its whole file.
 
-The certificate of a rig: what was verified, when, and on which device, as JSON and as one page.
-
-It belongs to one device file (by the hash of its bytes) and to one board (by serial number,
-firmware and life). It lists everything that the numbers depend on: every calibration with date,
-board and interval, the versions of hapticd and of its libraries, and the machine. Items that were
-not verified are listed as prominently as the verified ones. The page is self-contained HTML, so it
-prints and can be archived.
+Certificate (`write_certificate`). It states which verifications were made, when, and on which
+device, as JSON and as one page. It belongs to one device file (by the hash of its bytes) and to one
+board (by serial number, firmware and life). It lists everything that the numbers depend on: every
+calibration with date, board and interval, the versions of hapticd and of its libraries, and the
+machine. Items that were not verified are listed as prominently as the verified ones. The page is
+self-contained HTML, so it prints and can be archived.
 
 `recording.provenance` finds the certificate and reports whether the device file has changed since.
 
@@ -226,6 +224,7 @@ def _set_plain(data: dict[str, Any], dotted: str, key: str, value: Any) -> None:
     data[key] = value
 
 
+# --- the certificate ------------------------------------------------------------------------------
 VERSION = 1
 NOT_VERIFIED = (
     "active damping: `hapticd rig damping` measures it, `hapticd rig audit` compares it",

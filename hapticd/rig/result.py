@@ -1,27 +1,25 @@
-"""Result of a step of the rig: values with intervals, findings, and changes of the device file.
+"""Result of a step of the rig, the statistics of its values, and requests to a person at the rig.
 
-A value states its 95 % interval. A finding states a problem and its remedy. A step with a finding
-that is `refused` must not write anything (`settled`).
+Result (`StepResult`). It has values, findings, and changes of the device file. A value states its
+95 % interval. A finding states a problem and its remedy. A step with a finding that is `refused`
+must not write anything (`settled`).
 
-Weighted least squares, and the 95 % intervals of the estimates.
+Estimates (`Fit`). `least_squares` fits independent rows: the residuals give the variance, and
+Student's t the interval. `separable` fits a few additional unknowns in which the columns are
+nonlinear (Gauss-Newton).
 
-`least_squares` fits independent rows: the residuals give the variance, and Student's t the
-interval. `separable` fits a few additional unknowns in which the columns are nonlinear
-(Gauss-Newton).
-
-A record is cut into blocks instead, each of which is left out once (`jackknife`, Tukey 1958). This
-gives deviations and correlations without assuming that residuals are white or of equal size. An
-equation that holds at every sample also holds for the Fourier lines of each block (`lines`).
+Records (`jackknife`). A record is cut into blocks, each of which is left out once (Tukey 1958).
+This gives deviations and correlations without assuming that residuals are white or of equal size.
+An equation that holds at every sample also holds for the Fourier lines of each block (`lines`).
 
 Limitations: residuals that are correlated over more than a block give intervals that are too
 narrow.
 
-Requests of a step to a person at the rig: as text, and as an action with its amount.
-
-A terminal shows the text. A program (a positioning stage, a scripted hand on a simulated rig)
-performs the action. Both answer when the action is complete, or when it begins if it continues
-while the step measures. Positions of a hand are metres in the direction of positive x from A, the
-place that the person chooses first.
+Requests (`Request`). A step asks a person in text, and as an action with its amount. A terminal
+shows the text. A program (a positioning stage, a scripted hand on a simulated rig) performs the
+action. Both answer when the action is complete, or when it begins if it continues while the step
+measures. Positions of a hand are metres in the direction of positive x from A, the place that the
+person chooses first.
 
 The program listens on a Unix socket (`asked_at`). Each request is one connection with one line of
 JSON, {"action", "amount", "text"}; the answer is one line, {"done": true} or {"error": "why not"}.
@@ -47,6 +45,7 @@ from hapticd.signal.verdict import student_quantile
 
 __all__ = ["Ask", "Request", "StepResult", "asked_at"]
 
+# --- requests to a person -------------------------------------------------------------------------
 PATIENCE_S = 120.0
 Action = Literal[
     "let go",  # of the handle, and remove all attached parts
@@ -96,6 +95,7 @@ def asked_at(path: Path) -> Ask:
     return ask
 
 
+# --- results --------------------------------------------------------------------------------------
 Verdict = Literal["ok", "warning", "refused", "not done"]
 POSITION_HALF = 2e-3  # relative, of the encoder's scale where the file states none
 FACTOR = 2.0  # ratio of a scale of the file to its measurement: a data sheet is rarely so wrong
@@ -244,6 +244,7 @@ def rounded(value: float, low: float, high: float) -> float:
     return round(value, 2 - int(np.floor(np.log10(width))))
 
 
+# --- estimates and intervals ----------------------------------------------------------------------
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 NORMAL = 1.96  # standard deviations to that end, of a normal distribution
 NEXT_TO_NOTHING = 1e-12  # of the largest singular value

@@ -1,18 +1,17 @@
-"""The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick.
+"""The whole stack on virtual time, and a client of it.
 
-It runs faster than real time, with the same classes as the servo process and a clock that jumps.
-There are no sleeps and no dependence on the machine: two runs with the same parameters, commands
-and seeds give the same bytes. `command` takes the gateway's place. `scene_params` makes the
-parameters of servo and simulated board for a scene.
+Stack (`LockStep`). It has servo, wire, pyusb and the simulated board, and advances tick by tick. It
+runs faster than real time, with the same classes as the servo process and a clock that jumps. There
+are no sleeps and no dependence on the machine: two runs with the same parameters, commands and
+seeds give the same bytes. `command` takes the gateway's place. `scene_params` makes the parameters
+of servo and simulated board for a scene.
 
 Code in the servo must read the clock passed to it, and no other.
 
-A client of the whole stack on virtual time, faster than real time.
-
-`LockStepClient` is a `hapticd.client.Client` whose calls go directly to the servo. Telemetry takes
-the full path: frames of the board, the gateway's decoder, its messages, the client's decoder.
-Sockets, processes and the guard are left out. Time advances only while records are requested.
-`virtual.virtual_board` makes one from a configuration, with a guard.
+Client (`LockStepClient`). It is a `hapticd.client.Client` whose calls go directly to the servo.
+Telemetry takes the full path: frames of the board, the gateway's decoder, its messages, the
+client's decoder. Sockets, processes and the guard are left out. Time advances only while records
+are requested. `virtual.virtual_board` makes one from a configuration, with a guard.
 
 Limitations: it gives no information on real time; a stalled host cannot be observed.
 """
@@ -198,6 +197,7 @@ def scene_params(
     return servo, board
 
 
+# --- the client -----------------------------------------------------------------------------------
 READY_TICKS = 5
 BLOCK_TICKS = 500
 LISTENED_TICKS = 20  # a block, as the gateway publishes them

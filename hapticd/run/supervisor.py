@@ -1,4 +1,6 @@
-"""Start servo and gateway in order, keep them running, and end them in order.
+"""Start servo and gateway from their settings, keep them running, and end them in order.
+
+Processes (`Supervisor`). Their order:
 
     servo started -> its mailbox is published -> gateway started -> it serves -> ready
     stop          -> servo ends (force fades to 0, files removed) -> gateway ends
@@ -21,9 +23,9 @@ it is restarted like a gateway, and if it never served, this is reported and it 
 A second supervisor in the folder is refused (by its claim). Every wait must check signals: it is a
 poll of POLL_NS.
 
-Settings -> servo.json, board.json, gateway.json and guard.json in the runtime folder.
-
-The processes start from these files alone: they read no TOML and load no pydantic.
+Settings (`resolve`, `write`). They become servo.json, board.json, gateway.json and guard.json in
+the runtime folder. The processes start from these files alone: they read no TOML and load no
+pydantic.
 
 `to_plain` and `from_plain` must preserve every parameter to the last bit.
 """
@@ -56,6 +58,7 @@ from hapticd.settings.scene import guard_setup
 
 __all__ = ["ProcessEvent", "Supervisor", "resolve", "write"]
 
+# --- settings -------------------------------------------------------------------------------------
 CONFIGURED = {
     "K": "environment.stiffness_n_per_m",
     "B": "environment.virtual_damping_ns_per_m",
@@ -124,6 +127,7 @@ def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:
     return {name: files.write_whole(folder / name, text) for name, text in texts.items()}
 
 
+# --- processes ------------------------------------------------------------------------------------
 CONSOLE = ("hapticd", "console", "--instance")  # a verb, so that no web server is loaded here
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS

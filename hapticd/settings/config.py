@@ -1,22 +1,22 @@
-"""The base of every TOML table, the parsing of a file into its table, and messages for its
-mistakes.
+"""hapticd.toml, and the base of every TOML table with the messages for its mistakes.
 
-A message contains file:line, field = value with its unit, the permitted range, and a suggestion.
+Messages (`Parsed`). A message contains file:line, field = value with its unit, the permitted range,
+and a suggestion.
 
-Rules between keys need a table (`parsed`). To check them despite a misspelt key or a wrong number,
-wrong entries are replaced by their defaults for the check. A rule counts only if no wrong entry is
-near its keys (`concerns`).
+Rules (`parsed`, `concerns`). A rule between keys needs a table. To check them despite a misspelt
+key or a wrong number, wrong entries are replaced by their defaults for the check. A rule counts
+only if no wrong entry is near its keys.
 
-Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
-Units are part of field names; `core.units.unit_of` reads them for messages and for the JSON schema.
+Base (`TomlTable`). Tables are strict (no "100" for 100), closed (no unknown key), frozen, and
+refuse NaN and infinity. Units are part of field names; `core.units.unit_of` reads them for messages
+and for the JSON schema.
 
 Limitations: a pydantic release that renames its error types (`REASONS` would fall back to
 pydantic's own text). A rule whose limit comes from another table that it does not list.
 
-hapticd.toml: settings that apply to any device.
-
-Tables that the processes read unchanged are in `core.params`, with their defaults and limits. The
-tables here are translated. `load` checks the limits of a device.
+hapticd.toml (`Config`). Its settings apply to any device. Tables that the processes read unchanged
+are in `core.params`, with their defaults and limits. The tables here are translated. `load` checks
+the limits of a device.
 """
 
 import copy
@@ -249,6 +249,7 @@ def _table_of(hint: Any) -> Any:
     )
 
 
+# --- hapticd.toml ---------------------------------------------------------------------------------
 _environment = Environment()
 _wall = WallParams()
 _ends = WorkspaceParams()

@@ -1,22 +1,21 @@
-"""scenes/NAME.toml: a device, its environment, its excitation, and its effects.
+"""scenes/NAME.toml, the JSON schemas of all files, and the guard's model of the device.
 
-`load_scene` finds a scene file and its device, merges the changes of the scene, validates, and
-builds the `Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name.
-The merged device is validated like a single file, and messages refer to the file and line of the
-wrong number.
+Scene (`load_scene`). It is a device, its environment, its excitation and its effects. `load_scene`
+finds a scene file and its device, merges the changes of the scene, validates, and builds the
+`Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name. The merged
+device is validated like a single file, and messages refer to the file and line of the wrong number.
 
-The JSON schemas of all kinds of file are here too. They are for editors (`#:schema` in the first
+Schemas (`schema_text`). Every kind of file has a JSON schema, for editors (`#:schema` in the first
 line of a file) and `taplo check`.
 
-Limitations: a scene that changes a number of a table that its device does not have (the table then
-lacks its other numbers, and the message lists them).
+Limitations: a scene that changes a number of a table that its device does not have. The table then
+lacks its other numbers, and the message lists them.
 
-Settings -> guard.json: the device model of the guard, composed once, as numbers.
-
-The model is the whole linear device of the device file, with the effects of a live board, or the
-one rigid mass of a simulated board without a model. A real device without a model has none, so
-passivity is unknown. A .zwidth file is valid only for the device file, rate and filters of its
-measurement; any difference is kept as the reason for its refusal.
+guard.json (`guard_setup`). It is the device model of the guard, composed once, as numbers. The
+model is the whole linear device of the device file, with the effects of a live board. A simulated
+board without a model is one rigid mass. A real device without a model has none, so passivity is
+unknown. A .zwidth file is valid only for the device file, rate and filters of its measurement; any
+difference is kept as the reason for its refusal.
 
 JSON must not round numbers of the model (floats are written so that they are read back to the last
 bit).
@@ -220,6 +219,7 @@ def schema_text(kind: str) -> str:
     return json.dumps(schema(kind), indent=2, ensure_ascii=False) + "\n"
 
 
+# --- guard.json -----------------------------------------------------------------------------------
 AXES = ("K", "B", "M")  # order of the axes in a .zwidth file
 ENDS = ("K+", "B-", "B+", "M-", "M+")  # order of the ends in MeasuredLevel
 

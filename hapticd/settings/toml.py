@@ -1,16 +1,16 @@
-"""TOML files: shipped files, the line of every key, suggestions for misspelt names.
+"""Input files: TOML with the line of every key, and checks of a file before it is opened.
 
-Standard library only. tomllib does not report line numbers, so `read` scans the text again for
-headers and keys. A `Document` returns with `where(path)` the file:line of a key or of the nearest
-enclosing table.
+TOML (`read`). The names of shipped files are known (`shipped`), and a misspelt name is answered
+with the nearest one (`did_you_mean`). Standard library only. tomllib does not report line numbers,
+so `read` scans the text again for headers and keys. A `Document` returns with `where(path)` the
+file:line of a key or of the nearest enclosing table.
 
 Limitations: a header or key whose quoted name contains the quote itself (the message then refers to
 the enclosing table).
 
-Input files from the user: they must be regular and not too large.
-
-Opening a pipe waits for its other end, and a device such as /dev/zero has no end. So a file is
-checked before it is opened, only in this module. Links are followed.
+Checks (`regular`). A file from the user must be regular and not too large. Opening a pipe waits for
+its other end, and a device such as /dev/zero has no end. So a file is checked before it is opened,
+only in this module. Links are followed.
 
 Limitations: a file that is replaced between check and opening; only its own user is affected.
 """
@@ -41,6 +41,7 @@ __all__ = [
     "shipped",
 ]
 
+# --- checks before opening ------------------------------------------------------------------------
 SETTINGS_BYTES = 4 << 20
 WAVEFORM_BYTES = 64 << 20
 SAMPLES_BYTES = 2 << 30  # of text or arrays that are read completely
@@ -70,6 +71,7 @@ def regular(path: Path, most_bytes: int | None = None) -> Path:
     return path
 
 
+# --- TOML -----------------------------------------------------------------------------------------
 KeyPath = tuple[str | int, ...]  # names of tables and keys, places in lists
 
 _PACKAGE = Path(hapticd.__file__).parent

@@ -1,4 +1,6 @@
-"""From the spectra of a record to its verdict, in one function.
+"""From the spectra of a record to its verdict, and Z from a periodic force.
+
+Assessment (`assess`). One function takes all steps:
 
     spectra      of a window (`spectra`) or of whole periods (`periodic`), corrected for known
                  faults of the velocity channel (`corrected`)
@@ -14,11 +16,10 @@ still running has only its spectra; its verdict is final if `needed` is empty.
 
 Spectra must be those of the samples.
 
-Z from a periodic force: no window, no leakage, and an interval that holds with friction too.
-
-Over a whole period of a settled motion the discrete Fourier transform separates every harmonic.
-With R realisations of the force (the same amplitudes, other random phases) and F_m, V_m their means
-over the periods:
+Periodic force (`periodic`). It needs no window and does not leak; its interval holds with friction
+too. Over a whole period of a settled motion the discrete Fourier transform separates every
+harmonic. With R realisations of the force (the same amplitudes, other random phases) and F_m, V_m
+their means over the periods:
 
     Y    = <V_m F_m*> / <|F_m|^2>                  means over the realisations: the best linear
                                                    approximation of 1/Z
@@ -31,7 +32,7 @@ over the periods:
 the device repeats with the period. Averaging periods removes noise but not distortion, and the
 scatter between periods does not show it. Only other phases do, so the interval of one realisation
 covers noise alone and decides nothing. The mean spectra of several realisations have the form of
-`spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), so `judge` accepts them.
+`spectra.Spectra`, so `judge` accepts them. Their coherence is 1 / (1 + (R - 1) s^2 / (R |Y|^2)).
 
 Limitations: a motion that has not settled; lost samples (refused, because the force does not
 repeat); a single realisation.
@@ -67,6 +68,7 @@ __all__ = [
     "periodic_findings",
 ]
 
+# --- periodic force -------------------------------------------------------------------------------
 LEAST_POWER = 1e-9  # of the strongest harmonic's power: below it a harmonic is not excited
 CHANGING = (
     0.03  # of the force's rms, part that may not repeat: resolution and noise of the torque channel
@@ -264,6 +266,9 @@ def changing(force_n: Floats) -> float:
     changes = float(_power(force - mean).sum())
     stays = float(_power(mean).sum()) * force.shape[1]
     return float(np.sqrt(changes / stays)) if stays > 0.0 else np.inf
+
+
+# --- assessment -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

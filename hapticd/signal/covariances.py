@@ -1,12 +1,12 @@
-"""Covariances of a long record from short transforms, with or without its linear trend.
+"""Covariances of a long record from short transforms, and the inner loops over records.
 
 Sections (Rader 1970, "An improved algorithm for high speed autocorrelation"). The record is cut
 into sections of M samples, each padded with zeros to 2 M and transformed once. Lags 0..M of section
-i with the following record need only sections i and i + 1, and a shift of section i + 1 by M
-samples is a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1}) over all sections and
-one inverse transform at the end give the exact biased covariances. The method needs memory O(M) and
-takes a record of any length in pieces of any size. It takes about 43 Mflop for 360,000 samples;
-direct sums take 1.5 Gflop.
+i with the following record need only sections i and i + 1. A shift of section i + 1 by M samples is
+a factor (-1)^k on bin k. Summing conj(U_i) (Y_i + (-1)^k Y_{i+1}) over all sections and one inverse
+transform at the end give the exact biased covariances. The method needs memory O(M) and takes a
+record of any length in pieces of any size. It takes about 43 Mflop for 360,000 samples; direct sums
+take 1.5 Gflop.
 
 Trends. The paper (Weir, Colgate and Peshkin 2008, section 2.2) detrends the whole record before
 `spa`. With t = k - (N - 1)/2 the least-squares line is mean + slope t, slope = sum(t x) / (N (N^2 -
@@ -18,14 +18,12 @@ The lag must not change while sums are kept. Blocks of unequal length in the two
 refused. Limitations: in a stream, an offset about 10^6 times the motion leaves no significant
 digits.
 
-The inner loops over records in numpy, and the choice between them and the compiled ones.
+Inner loops. `kernels` returns those of `compiled` if numba is installed, otherwise those of this
+module. Both sets take the same arguments and agree to rounding; tests compare the compiled ones
+with these. No other module of the package needs a compiler.
 
-`kernels()` returns the loops of `compiled` if numba is installed, otherwise those below. Both sets
-take the same arguments and agree to rounding; tests compare the compiled ones with these. No other
-module of the package needs a compiler.
-
-    fitted_line, take_line_out    the linear trend of a signal (`covariances`)
-    accumulate                    spectral sums of neighbouring sections (`covariances`)
+    fitted_line, take_line_out    the linear trend of a signal
+    accumulate                    spectral sums of neighbouring sections
     local_fits                    Q and J of `resolved` about each of F frequencies
 
 About the bin p of a record, with r = (bin - p) / half from -1 to 1 and x = bin / p, `local_fits`
@@ -34,8 +32,8 @@ solves
     x F = (q0 + q1 r + q2 r^2) V + (j0 + j1 r + j2 r^2) + sum_k g_k x F(bin + k servo)
 
 by least squares over those of the bins p - half .. p + half that exist: Z is q0. It uses einsum,
-not BLAS. BLAS threads wait for each other where every core has a trial of its own, and the last
-bits of BLAS depend on the number of cores.
+not BLAS. BLAS threads wait for each other where every core has a trial of its own. The last bits of
+BLAS depend on the number of cores.
 
 Limitations: columns that are equal to rounding, as where all motion is in one bin. `RIDGE` then
 yields numbers with a variance that marks them as unknown.
@@ -52,6 +50,7 @@ from numpy.polynomial import Polynomial
 from hapticd.core.arrays import Complexes, Floats, Integers, alternating, lazy_property
 from hapticd.core.errors import AnalysisError
 
+# --- inner loops ----------------------------------------------------------------------------------
 ORDER = 2  # of both polynomials
 TERMS = ORDER + 1
 FREQUENCIES_TOGETHER = 16  # frequencies at once: 1 MB
@@ -200,6 +199,7 @@ def accumulate(velocity: Complexes, force: Complexes, sums: Complexes) -> None:
         sums[row] += np.einsum("ij,ij->j", first, second)
 
 
+# --- covariances ----------------------------------------------------------------------------------
 TOGETHER = 32_768  # samples transformed together: their spectra stay in the second-level cache
 
 

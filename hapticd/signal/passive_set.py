@@ -1,30 +1,30 @@
-"""The passive set in the space of K, B and M: its limits, its volume and its boundary.
+"""The passive set in the space of K, B and M, and the Z-width envelope over frequency.
 
-A headline such as "K up to 600 N/m" can mean two things, which differ by a factor. The axis limit
-scans one parameter from 0 to its first failure with the others 0 (`axis_limit`). The set limit is
-the maximum over the whole set (`set_limits`). Both are always reported together.
+Limits (`axis_limit`, `set_limits`). A headline such as "K up to 600 N/m" can mean two things, which
+differ by a factor. The axis limit scans one parameter from 0 to its first failure with the others 0
+(`axis_limit`). The set limit is the maximum over the whole set (`set_limits`). Both are always
+reported together.
 
-The volume is that of the grid's cells. Each cell counts by the share of it where the margin, linear
-between corners, is not negative.
+Volume (`volume`). It is that of the grid's cells. Each cell counts by the share of it where the
+margin, linear between corners, is not negative.
 
-If only yes and no are known, rays from inside the set find its boundary in the unit box
-(`boundary`, for the directed search). Their directions are spread evenly on the sphere (Fibonacci
+Boundary (`boundary`, for the directed search). If only yes and no are known, rays from inside the
+set find its boundary in the unit box. Their directions are spread evenly on the sphere (Fibonacci
 spiral: Swinbank and Purser 2006). Each ray is bisected between its start, which is inside, and the
 end of the box.
 
 Limitations: a grid that does not reach beyond the set, because its limits are then those of the
 grid (`open_ends` lists them); a set that a ray leaves twice, of which one exit is found.
 
-The Z-width as the paper draws it: at every frequency the largest and smallest passive |Z| and
-phase.
+Envelope (`Envelope`). The paper draws the Z-width as the largest and smallest passive |Z| and phase
+at every frequency. "The Z-width envelope is iteratively updated as successive trials are performed"
+(Weir, Colgate and Peshkin 2008, section 2). Every point keeps the trial that set it and the
+uncertainty of that trial, so each feature can be traced to a trial. Trials that are not passive do
+not widen the envelope. The uncertainty is that of the owner alone. The largest of many noisy values
+exceeds the true maximum by about one of its standard deviations. Confirm an owner with a second
+trial before quoting it.
 
-"The Z-width envelope is iteratively updated as successive trials are performed" (Weir, Colgate and
-Peshkin 2008, section 2). Every point keeps the trial that set it and the uncertainty of that trial,
-so each feature can be traced to a trial. Trials that are not passive do not widen the envelope. The
-uncertainty is that of the owner alone. The largest of many noisy values exceeds the true maximum by
-about one of its standard deviations, so confirm an owner with a second trial before quoting it.
-
-The envelope of the admittance has maximum and minimum exchanged: 1/|Z|, minus the phase.
+Admittance (`admittance`). Its envelope has maximum and minimum exchanged: 1/|Z|, minus the phase.
 
 Trials on other frequencies, at another port or with another estimator are refused.
 """
@@ -237,6 +237,7 @@ def distance(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.sqrt(((one[:, None] - other) ** 2).sum(axis=2)).min(axis=1))
 
 
+# --- envelope -------------------------------------------------------------------------------------
 Accept = Literal["judged", "within_90_deg"]
 
 

@@ -1,30 +1,30 @@
 """Results for others: the file NAME.zwidth, and Z(f) for the tools of control engineering.
 
-NAME.zwidth: one display's Z-width in a small JSON file, to pass on and to compare with others.
+NAME.zwidth (`portable`). It is one display's Z-width in a small JSON file, to pass on and to
+compare with others. It holds the envelopes with their owners and uncertainty, the axis limits,
+their conditions, and the hash of the device file: a file edited since then is another device. If
+the rig has a certificate, the file names it, and whether the device file had changed since.
 
-It holds the envelopes with their owners and uncertainty, the axis limits, their conditions, and the
-hash of the device file: a file edited since then is another device. If the rig has a certificate,
-the file names it, and whether the device file had changed since.
-
-`compare` reads several of them, checks that they are comparable, and divides by the moving mass.
-Numbers of two displays are comparable under equal conditions: band, judged frequencies,
-perturbation, length of a trial, confidence, port and estimator. Differences are refused by name
-unless allowed, and an allowed difference is named with the result. The perturbation counts as alike
-if its force is the same, or the same per mass (`signal.compare`).
+Comparison (`compare`). It reads several such files, checks that they are comparable, and divides by
+the moving mass. Numbers of two displays are comparable under equal conditions: band, judged
+frequencies, perturbation, length of a trial, confidence, port and estimator. Differences are
+refused by name unless allowed, and an allowed difference is named with the result. The perturbation
+counts as alike if its force is the same, or the same per mass (`signal.compare`).
 
 Limitations: a device file edited without a new name; the hash shows it only to users with the older
 file.
 
-Z(f) of a trial, with its interval, for the tools of control engineering.
+Z(f) (`write_response`). Z of a trial is written with its interval, for one of these tools:
 
     npz   python-control:  d = numpy.load("trial.npz")
                            control.FrequencyResponseData(d["response"], d["omega_rad_per_s"])
     mat   MATLAB, Octave:  load trial.mat; sys = frd(response, omega_rad_per_s)
     csv   a line for each frequency, the units in the header
 
-The interval is that of Re Z: |Z| q s on each side, with the relative deviation s of `impedance` and
-Student's q at the confidence of the verdict for all frequencies together (Sidak). It covers the
-random errors that the intervals of the verdict cover, without the error of a fit (`resolved`).
+The interval is that of Re Z: |Z| q s on each side, with the relative deviation s of `impedance`.
+Student's q is at the confidence of the verdict for all frequencies together (Sidak). The interval
+covers the random errors that the intervals of the verdict cover, without the error of a fit
+(`resolved`).
 
 The minimum Re Z over the band is the input feedforward passivity index of control theory, here of
 the band alone: nu = min lambda_min(Z + Z^H) / 2. Each of these tools can compute it again.
@@ -328,6 +328,7 @@ def _reaches(
             )
 
 
+# --- Z(f) for other tools -------------------------------------------------------------------------
 Format = Literal["npz", "mat", "csv"]
 
 

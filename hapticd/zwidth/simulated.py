@@ -1,14 +1,13 @@
-"""Trials by the batch engine: the record of one, and the impedance of several.
+"""Simulated trials of a scene: by the batch engine, or by the whole product on virtual time.
 
-Walls and soft ends of a scene are omitted, because the impedance of an environment is measured away
-from them.
+Batch engine (`engine_source`, `spectra_of`). It gives the record of one trial, or the impedance of
+several. Walls and soft ends of a scene are omitted, because the impedance of an environment is
+measured away from them.
 
-A trial of a scene by the whole product on virtual time.
-
-The stack starts as with `hapticd run`: enabled at rest and the gain ramped to 1. Then, at one tick,
-the perturbation starts and the scene's damping steps begin to count. The records begin at that
-tick: positions and forces in the servo, torque and velocity from the probe frames. Converters of
-the wire quantise, whatever the scene's effects.
+Whole product (`run_lockstep`). The stack starts as with `hapticd run`: enabled at rest and the gain
+ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps begin to
+count. The records begin at that tick: positions and forces in the servo, torque and velocity from
+the probe frames. Converters of the wire quantise, whatever the scene's effects.
 """
 
 from collections.abc import Sequence
@@ -132,6 +131,7 @@ def pooled(trials: list[Spectra]) -> Complexes:
     )
 
 
+# --- the whole product ----------------------------------------------------------------------------
 MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 
 

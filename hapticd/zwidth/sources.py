@@ -1,33 +1,36 @@
-"""Sources of a trial's record: the batch engine (`simulated`), a file, or a daemon (`live`). All
-return a `TrialRecord`.
+"""Sources of a trial's record, properties of a scene for procedures, and the stepped sine.
 
-An existing record is passed to the monitor second by second, as a daemon would send it, and cut
-where the monitor would have ended the trial.
+Sources (`Source`). The batch engine (`simulated`), a file and a daemon (`live`) return a
+`TrialRecord`.
 
-One rule for all sources selects the rendered environment from the typed values, the scene and the
-record. Omitted values of K, B and M are those of an explicitly named scene, otherwise 0: K = 500
-N/m alone does not imply the B and M of a scene that was not named. If all three are omitted, the
-environment is that of the record, otherwise of the scene, otherwise 0. The active damping is a
-property of the device's drive: unless typed, it is the record's, otherwise the scene's.
+An existing record (`watched`) is passed to the monitor second by second, as a daemon would send it.
+It is cut where the monitor would have ended the trial.
+
+Environment (`given`). One rule for all sources selects the rendered environment from the typed
+values, the scene and the record. Omitted values of K, B and M are those of an explicitly named
+scene, otherwise 0: K = 500 N/m alone does not imply the B and M of a scene that was not named. If
+all three are omitted, the environment is that of the record, otherwise of the scene, otherwise 0.
+The active damping is a property of the device's drive: unless typed, it is the record's, otherwise
+the scene's.
 
 A typed environment must be that of the file's record; only this package's own files contain theirs.
 
-Properties of a scene for procedures: its environment without walls, its damping level, itself
-without an effect, its impedance; and its device, composed once, with all predictions (`Display`).
+Scenes (`Display`). A procedure needs the environment of a scene without walls, its damping level,
+its impedance, and the scene without an effect. `Display` is the device of a scene, composed once,
+with all predictions.
 
 Z is measured as in the paper (noise at the probe, `signal.spectra`) on frequencies evenly spaced in
 ln f. They are on the grid of the paper's window, so the grid of a longer window contains them too.
 
 A prediction and the trials compared with it must have the same perturbation.
 
-The stepped sine: an independent measurement of an impedance, one frequency after the other,
-without spectral estimation.
-
-At each frequency the probe plays one sine, the first second is left out, and Z is the ratio of the
-two channels' Fourier sums over whole seconds. Frequencies are whole hertz, so whole seconds hold
-whole periods and nothing leaks. On a linear device it must agree with noise. With Coulomb friction
-a sine of the same rms sees a different equivalent damping (4/pi Fc/V instead of sqrt(2/pi)
-Fc/sigma). The two then differ, and both are right for their amplitude.
+Stepped sine (`stepped_sine`). It is an independent measurement of an impedance, one frequency after
+the other, without spectral estimation. At each frequency the probe plays one sine, and the first
+second is left out. Z is the ratio of the two channels' Fourier sums over whole seconds. Frequencies
+are whole hertz, so whole seconds hold whole periods and nothing leaks. On a linear device it must
+agree with noise. With Coulomb friction a sine of the same rms sees a different equivalent damping
+(4/pi Fc/V instead of sqrt(2/pi) Fc/sigma). The two then differ, and both are right for their
+amplitude.
 
 Limitations: a loop that rings for longer than the second that is left out.
 """
@@ -84,6 +87,7 @@ __all__ = [
     "without",
 ]
 
+# --- scenes ---------------------------------------------------------------------------------------
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation
 FREQUENCIES = 60
@@ -277,6 +281,7 @@ def _configured() -> tuple[Path, ...]:
         return ()
 
 
+# --- sources --------------------------------------------------------------------------------------
 LEAST_KEPT_S = 8.0
 NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))
 Typed = tuple[float | None, float | None, float | None]  # K [N/m], B [N s/m], M [kg]
@@ -387,6 +392,7 @@ def _agrees(
             )
 
 
+# --- the stepped sine -----------------------------------------------------------------------------
 FREQUENCIES_HZ = (3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0, 377.0, 480.0)
 DWELL_S = 4.0
 TRANSIENT_S = 1.0

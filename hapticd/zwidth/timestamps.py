@@ -1,8 +1,9 @@
-"""Sampling rate and missing samples from a column of times, or from a counter of samples.
+"""Files of records: their sampling rate and missing samples, and the records of hapticd itself.
 
-The rate is that of the step, not of the mean: missing rows lengthen the mean step, and every limit
-moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N s/m read
--0.24. Each time is therefore placed on the line
+Times (`sampling`). A column of times gives the rate and the missing samples. The rate is that of
+the step, not of the mean: missing rows lengthen the mean step, and every limit moves with the rate
+or its square. With one row in a hundred missing a margin of +0.54 N s/m read -0.24. Each time is
+therefore placed on the line
 
     t_i = t_0 + T n_i,    n_i whole numbers that grow by 1 or more
 
@@ -14,21 +15,22 @@ Seconds that were rounded to more than a period (milliseconds at 4 kHz) repeat. 
 corresponds to a whole number of samples, values with fewer samples lost some; otherwise the times
 give only the mean rate.
 
-A counter grows by 1 with every sample, so a larger step is a loss. It wraps at 2^48 at the latest,
-as a clock of 48 bits does: a step back of about that much is a step forward.
+Counters (`counted`). A counter of samples grows by 1 with every sample, so a larger step is a loss.
+It wraps at 2^48 at the latest, as a clock of 48 bits does: a step back of about that much is a step
+forward.
 
 Limitations: losses combined with jitter of half a period or more (the times are then uneven, and
 refused); a counter of fewer bits that wraps within the record (refused too).
 
-Reads records that hapticd itself wrote. Each becomes the record of one trial:
+Records of hapticd (`of_recording`, `of_remark`). Each file becomes the record of one trial:
 
     NAME.h5, NAME.part.h5      a recording by `hapticd record`: the probe's samples and the ticks
     NAME.mat                   its export for MATLAB: the same as structures
     NAME.probe.csv             its export as text; the last line, a remark, summarises the ticks
     record.h5                  of a trial, with the details of `run.json` next to it or in the file
 
-A recording is cut to its longest stretch that is one trial (`recording.pack`); the numbers of
-its samples show which are missing. A mark of the perturbation precedes that stretch
+A recording is cut to its longest stretch that is one trial (`recording.pack`); the numbers of its
+samples show which are missing. A mark of the perturbation precedes that stretch
 (`excitation.marked`); its start is given in samples of the stretch, for `aligned`.
 
 Columns must have the units of this package, which writes all of them.
@@ -249,6 +251,7 @@ def unwrapped(times: Floats) -> Floats:
     return np.where(np.arange(times.size) > back[0], times + WRAP, times)
 
 
+# --- records of hapticd ---------------------------------------------------------------------------
 BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial that are searched for its mark
 
 

@@ -1,12 +1,11 @@
-"""Shared parts of the verbs of `zwidth`: options, scenes, conditions, output.
+"""Shared parts of the verbs of `zwidth`: options, scenes, conditions, output, and a live device.
 
-If a verb ends early, by Ctrl-C or by dead workers, it prints in one line which results are kept and
-how to continue.
+Early end (`interruptible`, `keeping`). If a verb ends early, by Ctrl-C or by dead workers, it
+prints in one line which results are kept and how to continue.
 
-The device of a running daemon under a trial: its identification, and the announcement.
-
-Every motion is announced before: the name of the device, whether it is real, and the environment in
-which it is enabled. Every exit of the process must leave the device disabled.
+Live device (`open_rig`, `announce`). It is identified before a trial. Every motion is announced in
+advance: the name of the device, whether it is real, and the environment in which it is enabled.
+Every exit of the process must leave the device disabled.
 """
 
 import signal
@@ -322,6 +321,9 @@ def tell_open(levels: list[dict[str, Any]], what: str) -> None:
 def provenance_now(**more: Any) -> dict[str, Any]:
     """Return the provenance of a run: versions, machine, the time, and `more`."""
     return provenance.provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)
+
+
+# --- a live device --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

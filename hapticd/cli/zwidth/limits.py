@@ -1,8 +1,11 @@
-"""One environment without a trial: the prediction of theory, in a second.
+"""Verbs of `zwidth` for limits: one environment, the axes K, B and M, and virtual walls.
 
-K, B and M limits along their axes: predicted, then by simulated trials.
+Environment (`predict_command`). Theory predicts one environment in a second, without a trial.
 
-Impacts on virtual walls: maximum stiffness of a wall without oscillation, at each damping.
+Axes (`limits_command`). Limits of K, B and M are predicted, then found by simulated trials.
+
+Walls (`walls_command`). Impacts on a wall give its maximum stiffness without oscillation, at each
+damping.
 """
 
 from functools import partial
@@ -218,6 +221,7 @@ def _built(found: "coupled.Forecast") -> dict[str, Any] | None:
     }
 
 
+# --- axes -----------------------------------------------------------------------------------------
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
 COLUMNS = (
     "limit",
@@ -328,6 +332,7 @@ def _row(limit: "limits.AxisLimit", scattered: bool) -> tuple[str | float, ...]:
     )
 
 
+# --- walls ----------------------------------------------------------------------------------------
 Stiffness = Annotated[
     common.Range,
     typer.Option(

@@ -1,6 +1,8 @@
-"""A grid of K, B and M: which environments are passive, and the envelope over them.
+"""Verbs of `zwidth` for the passive set of K, B and M: on a grid, or its boundary alone.
 
-The boundary of the passive set from few, selected trials.
+Grid (`map_command`). It shows which environments are passive, and the envelope over them.
+
+Boundary (`search_command`). It is found from few, selected trials.
 """
 
 from functools import partial
@@ -217,6 +219,7 @@ def draw_map(result: "maps.MapResult", folder: Path, width_mm: float | None) -> 
     return paths
 
 
+# --- the boundary ---------------------------------------------------------------------------------
 SEARCH_COLUMNS = (
     "active N s/m",
     "trials",

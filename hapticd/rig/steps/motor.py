@@ -1,4 +1,4 @@
-"""Motor calibration: the sign by pushes, offset and gain by masses.
+"""Motor calibration: the sign by pushes, offset and gain by masses or by a known spring.
 
 Sign (`measure_sign`). Position already has its sign (`rig encoder`, by hand). Pushes of PUSH_S,
 each half as strong again as the last, go to positive x until the handle moves, then to negative x.
@@ -12,26 +12,25 @@ and Coulomb friction cancels in the mean. At rest
 
     s F + o + a w = 0,     w = m g r / R
 
-with the commanded F, newtons per commanded newton s, the offset o, the side a = +-1 to which the
-masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and o.
-Its residuals show whether the motor is linear. They give the intervals (Student's t), together with
-a friction that differs from reading to reading by a share REPEATS: a few masses may fit a line by
+with the commanded F, newtons per commanded newton s and the offset o. The masses hang at the radius
+r; R is that of the endpoint. They pull to the side a = +-1. The line F(w) gives s and o. Its
+residuals show whether the motor is linear. They give the intervals (Student's t), together with a
+friction that differs from reading to reading by a share REPEATS: a few masses may fit a line by
 chance.
 
 Limitations: a friction that differs from one reading to the next (it appears in the residuals).
 
-Force per count by a known spring, for a handle from which no masses can hang.
-
-The spring of k [N/m] holds the handle, and a far wall pulls at it to either side, with LEVELS steps
-of force going up and the same going down again. At rest
+Spring (`measure_spring`). It gives the gain where no masses can hang from the handle. The spring of
+k [N/m] holds the handle, and a far wall pulls at it to either side. The force goes up in LEVELS
+steps and down again in the same ones. At rest
 
     s F + o = k (x - x0) +- f
 
-with the commanded F, newtons per commanded newton s, the motor's offset o, the place x0 where the
-spring is slack, and the friction f. Friction has opposite signs on the way up and on the way down,
-so it cancels in the mean of the two. The line x(F) has the slope s / k. o cannot be separated from
-x0; it is measured without a spring (`measure_offset`). Forces of both signs are on the line, so its
-residuals show a nonlinear motor, a nonlinear spring, or a lever that slips.
+with F, s and o as above, the place x0 where the spring is slack, and the friction f. Friction has
+opposite signs on the way up and on the way down, so it cancels in the mean of the two. The line
+x(F) has the slope s / k. o cannot be separated from x0; it is measured without a spring
+(`measure_offset`). Forces of both signs are on the line, so its residuals show a nonlinear motor, a
+nonlinear spring, or a lever that slips.
 
 Limitations: a spring that buckles or is stretched to its end (residuals), and a wrong scale of
 position (`rig encoder` comes first).
@@ -367,6 +366,7 @@ def believable(scale: float) -> Finding:
     )
 
 
+# --- a known spring -------------------------------------------------------------------------------
 LEVELS = 3
 OVERSHOOT = 1.3  # beyond the last level, so that the way down begins above it
 MOST_M = 4e-3  # of stretch

@@ -1,7 +1,8 @@
-"""Verify the display: known springs, dampers and masses, measured by the probe.
+"""Verify the display by known springs, dampers and masses, and the installation by known numbers.
 
-Each is rendered, or attached by a hand, in addition to one constant environment, and Z is measured
-under short noise with it and without it. Their difference is the known part alone:
+Display (`measure`). The probe measures springs, dampers and masses. Each is rendered, or attached
+by a hand, in addition to one constant environment. Z is measured under short noise with it and
+without it. Their difference is the known part alone:
 
     rendered    H(f) (K + B D1(z) + M D2(z)) / jw     hold, delay and filters of the law; the delay
                                                        is the one measured by the board
@@ -27,7 +28,8 @@ well. `certificate` makes the document, which lists what is not verified here.
 
 Limitations: a hand on the handle (another mass), a first resonance below HIGH_HZ.
 
-Compare results of this installation with independently known numbers.
+Reference vectors (`compared`). Results of this installation are compared with independently known
+numbers:
 
     theory    damping that a sampled spring, damper, mass needs (Colgate and Schenkel 1997), against
               closed forms: K T/2, |B|, 2 M/T, 9/8 |M|/T, and K (T/2 + d T) for whole delays
@@ -81,6 +83,7 @@ from hapticd.usb import codec, frames
 
 __all__ = ["KnownParts", "measure"]
 
+# --- reference vectors ----------------------------------------------------------------------------
 RATE_HZ = 1000.0
 T_S = 1.0 / RATE_HZ
 CLOSED_FORMS = (  # K [N/m], B [N s/m], M [kg], delay [periods], damping that is needed [N s/m]
@@ -193,6 +196,7 @@ def _wrong(vectors: list[dict[str, Any]]) -> Iterator[str]:
             yield vector["name"]
 
 
+# --- known parts ----------------------------------------------------------------------------------
 BESIDE = CENTRE  # constant environment, rendered in addition
 UNIT_N_PER_M = "N/m"
 RENDERED = ("force", "position")  # tables of the device file

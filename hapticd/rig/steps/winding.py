@@ -1,14 +1,14 @@
-"""Force per ampere, resistance of the winding, and back-EMF.
+"""The motor's winding: force per ampere, resistance, back-EMF, and the sensor of its temperature.
 
-The handle is held by hand, at rest, under forces of LEVELS to either side. The motor's voltage is R
-i and its force K i: two lines over the commanded forces, with offsets of the sensors in their
-intercepts. Moved by hand without force, a winding without current shows K v. Over windows of
-WINDOW_S the mean of the voltage and the encoder's displacement correspond exactly, so no velocity
-is computed from noise. In SI both K are one number [N/A = V s/m]; if they differ, the scales of
-current, voltage, force and position contradict each other.
+Force and resistance (`measure`). The handle is held by hand, at rest, under forces of LEVELS to
+either side. The motor's voltage is R i and its force K i: two lines over the commanded forces, with
+offsets of the sensors in their intercepts. Moved by hand without force, a winding without current
+shows K v. Over windows of WINDOW_S the mean of the voltage and the encoder's displacement
+correspond exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V
+s/m]; if they differ, the scales of current, voltage, force and position contradict each other.
 
-The same motion gives scale and sign of the channel `emf_velocity` (`analyse_back_emf`). The device
-is disabled, so no current flows and the channel shows velocity alone, for any resistance
+Back-EMF (`analyse_back_emf`). The same motion gives scale and sign of the channel `emf_velocity`.
+The device is disabled, so no current flows and the channel shows velocity alone, for any resistance
 compensation. Its counts are fitted by the encoder's velocity, its derivative and a constant. The
 derivative gives the delay of the channel in ticks, and the fit is repeated with a velocity of the
 same delay, by blocks.
@@ -16,24 +16,23 @@ same delay, by blocks.
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the device file.
 
-Limitations: a hand that lets the handle slip while it is held (the windows show it), or shakes it
-so slowly that the AC coupling of an amplifier has an effect. A winding that warms up by more than
-the interval allows: the resistance is that at the mean temperature of the rests, which is written
-with it.
+Limitations: a hand that lets the handle slip while it is held (the windows show it). A hand that
+shakes it so slowly that the AC coupling of an amplifier has an effect. A winding that warms up by
+more than the interval allows: the resistance is that at the mean temperature of the rests, which is
+written with it.
 
-Compare the sensor of the winding's temperature with a thermometer.
-
-A winding that was off for half an hour has the temperature of the room, which the operator states.
-Its sensor has to agree approximately, without drift, and not be at the end of its converter. Then
-the count at 0 degC follows from it, with the scale that the file has from a data sheet
-(SCALE_HALF). With a second, stated temperature the scale itself is measured,
+Temperature (`measure_temperature`). The sensor is compared with a thermometer. A winding that was
+off for half an hour has the temperature of the room, which the operator states. Its sensor has to
+agree approximately, without drift, and not be at the end of its converter. Then the count at 0 degC
+follows from it, with the scale that the file has from a data sheet (SCALE_HALF). With a second,
+stated temperature the scale itself is measured,
 
     c = (T2 - T1) / (n2 - n1),   offset = n1 - T1 / c
 
 and both have the thermometer's tolerance. Drift is a line over the seconds at rest, with blocks for
 its interval, as noise of a sensor is rarely white.
 
-The back-EMF is measured in the same step, while a hand shakes the handle (`winding`).
+The back-EMF is measured in the same step, while a hand shakes the handle.
 
 Limitations: a winding that is still warm from earlier use (the drift shows it), or a thermometer in
 another place than the sensor.
@@ -294,6 +293,7 @@ def _followed(counts: Floats, speed: Floats, per_speed: float) -> Finding:
     )
 
 
+# --- temperature ----------------------------------------------------------------------------------
 REST_S = 10.0
 SHAKEN_S = 6.0
 SCALE_HALF = 0.02  # relative, of a scale from a data sheet

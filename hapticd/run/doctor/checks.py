@@ -1,4 +1,6 @@
-"""The table of checks and their reasons, in the order of the report.
+"""The checks of the doctor, and its report as one file.
+
+Checks (`CHECKS`). Their table has the reasons, in the order in which they are shown.
 
     probe (probes)  -> a sentence if all is well, otherwise a Flaw
     the row of CHECKS -> name, level, reason and remedy, unless the flaw has its own
@@ -8,13 +10,11 @@ Nothing is measured or changed. A simulated board needs none of the USB checks.
 
 A fix must be a command that can be pasted into a shell.
 
-One file to attach to a question: the environment of hapticd, the doctor's results, and the
-status.
-
-Only the items listed here are included. From the daemon's status these are numbers, states and the
-texts of its faults; names of clients, leases, addresses and the texts of events are excluded. USB
-devices appear with ids and places, the board with the results of the checks. No key is read. The
-home folder is written as ~ everywhere.
+Report (`report_of`). It is a file to attach to a question, with the environment of hapticd, the
+doctor's results and the status. Only the items listed here are included. From the daemon's status
+these are numbers, states and the texts of its faults; names of clients, leases, addresses and the
+texts of events are excluded. USB devices appear with ids and places, the board with the results of
+the checks. No key is read. The home folder is written as ~ everywhere.
 
 No field of KEPT may hold a name given by a person.
 """
@@ -270,6 +270,7 @@ def examined(check: Check, machine: Machine, asked: Requirements) -> CheckResult
     return CheckResult(check.name, level, found.found, why, fix)
 
 
+# --- the report -----------------------------------------------------------------------------------
 FORMAT = "hapticd-doctor/1"
 BUILD_FLAGS = ("Py_DEBUG", "Py_GIL_DISABLED", "WITH_PYMALLOC", "OPT")
 KEPT: Mapping[str, tuple[str, ...]] = {  # of the status, by part; "" is the status itself

@@ -1,8 +1,9 @@
-"""Timing of a running daemon: the share of a period that a tick takes, and causes of late ticks.
+"""Timing: the ticks of a running daemon, and the wake-up latency of this computer.
 
-Each cause has its remedy.
+Ticks (`judge_room`, `judge`). They are judged by the share of a period that a tick takes, and by
+the causes of late ticks. Each cause has its remedy.
 
-Measure the wake-up latency of a process that has the servo's rights.
+Wake-up latency (`measure`). A process with the servo's rights measures its own:
 
     python -m hapticd.run.doctor.late SECONDS PRIORITY [CORE]
 
@@ -89,6 +90,7 @@ def judge(status: Status, words: str) -> CheckResult:
     return CheckResult(NAME, WARN, text, f"most often {why}", fix)
 
 
+# --- wake-up latency ------------------------------------------------------------------------------
 WAKE_NAME = "wake-up"
 PERIOD_NS = NS_PER_MS
 PRIORITY = 80

@@ -1,16 +1,15 @@
-"""Kernels on disk: generated once per shape, compiled once per machine, then loaded in a fraction
-of a second.
+"""Compiled kernels on disk, and the coefficients that they take.
 
-Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there,
-imported through sys.path, because numba's own disk cache requires this to find compiled code again.
-HASH covers the text and the law it calls. `_called` must read every file that kernels are compiled
-from (an old kernel would otherwise be loaded again).
+Kernels (`kernel`). They are generated once per shape, compiled once per machine, then loaded in a
+fraction of a second. Their folder is $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it).
+A kernel is k_HASH.py there, imported through sys.path, because numba's own disk cache requires this
+to find compiled code again. HASH covers the text and the law it calls. `_called` must read every
+file that kernels are compiled from (an old kernel would otherwise be loaded again).
 
-The coefficients of a kernel: a model at a level of active damping, an environment and trials
-become numbers by the names that the text uses (`source`).
-
-Every map is exact (`model.discrete`). The kernel selects its coefficients by name. A name here that
-the text does not use is ignored; a name that the text uses and that is missing here stays 0.
+Coefficients (`plant_numbers`, `law_numbers`). A model at a level of active damping, an environment
+and trials become numbers by the names that the text uses (`source`). Every map is exact
+(`model.discrete`). The kernel selects its coefficients by name. A name here that the text does not
+use is ignored; a name that the text uses and that is missing here stays 0.
 """
 
 import hashlib
@@ -92,6 +91,7 @@ def _write(path: Path, text: str) -> None:
     fresh.replace(path)
 
 
+# --- coefficients ---------------------------------------------------------------------------------
 # of velocity and acceleration; None: none
 Filters = tuple[FilterParams | None, FilterParams | None]
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)

@@ -1,6 +1,7 @@
-"""Effects of the width of a figure: arrangement of panels, line breaks, positions of legends.
+"""The layout of a figure for its width, and tables as text.
 
-A figure is drawn at its final size. A width, on a screen or in print, determines:
+Width (`arranged`, `settle`). A figure is drawn at its final size. A width, on a screen or in print,
+determines:
 
     type      at least 7 pt, the minimum of journals: `NARROW_PT` on a narrow figure
     panels    those that would be too narrow next to each other go to the next line, in order
@@ -11,10 +12,9 @@ A figure is drawn at its final size. A width, on a screen or in print, determine
 A panel whose numbers or colour bar need more room than `PANEL_IN` needs a figure that passes
 `panel_in`.
 
-Tables as text: columns with units, numbers to three digits, aligned; and formatted shares and
-durations.
-
-A column of numbers and words is aligned as words.
+Tables (`Table`, `text`). Columns have units, and numbers have three digits and are aligned. Shares
+and durations are formatted too (`changed`, `duration`). A column of numbers and words is aligned as
+words.
 """
 
 import re
@@ -45,6 +45,7 @@ __all__ = [
     "width_mm",
 ]
 
+# --- tables ---------------------------------------------------------------------------------------
 DIGITS = 3
 WIDEST_LAST = 70  # characters of the last column
 GAP = "  "
@@ -133,6 +134,7 @@ def _aligned(line: Sequence[str], widths: Sequence[int], numeric: Sequence[bool]
     ).rstrip()
 
 
+# --- the width of a figure ------------------------------------------------------------------------
 MM_PER_IN = 25.4
 PT_PER_IN = 72.0
 # of a column and of a page of IEEE Transactions: 3.5 in and 7 1/8 in
