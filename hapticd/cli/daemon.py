@@ -465,7 +465,7 @@ def mark(
 
 perturb_app = typer.Typer(
     no_args_is_help=True,
-    help="Load, start and stop a perturbation: a force waveform at 4 kHz that is added.",
+    help="Load, start and stop a perturbation: a waveform at 4 kHz, added to the force.",
 )
 
 

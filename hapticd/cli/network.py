@@ -183,7 +183,7 @@ def try_(
         typer.Option(
             "--keys",
             metavar="FOLDER",
-            help="Folder with make_server.key and NAME.key_secret (default: no keys).",
+            help="Folder with server.key and NAME.key_secret (default: no keys).",
         ),
     ] = None,
     as_json: terminal.Json = False,

@@ -21,9 +21,7 @@ from hapticd.mailbox.layout import Value
 from hapticd.protocol.limits import PLACES
 
 with deferred_imports():
-    from hapticd.recording import file as energy
     from hapticd.recording import file as files
-    from hapticd.recording import file as replays
     from hapticd.recording import pack, recorder
     from hapticd.zwidth import store
     from hapticd.zwidth.report import style
@@ -137,7 +135,7 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
         attributes = {name: _plain(value) for name, value in recording.attributes.items()}
         energy_j: dict[str, float] = {}
         with suppress(ConfigError):  # records of another version
-            energy_j = energy.total_j(recording)
+            energy_j = files.total_j(recording)
     lines = _info_lines(found, energy_j, attributes)
     terminal.show({**found, "energy_j": energy_j, "attributes": attributes}, lines, as_json)
 
@@ -242,7 +240,7 @@ def replay(
     terminal.need_figures(bool(words or plot))
     with files.open_recording(file) as recording:
         begin = time.process_time()
-        result = replays.replay_recording(recording, _instead(words))
+        result = files.replay_recording(recording, _instead(words))
         seconds = time.process_time() - begin
         rate_hz = recording.params.realtime.rate_hz
         simulated = bool(recording.attributes["simulated"])
@@ -271,7 +269,7 @@ def _instead(words: list[str]) -> dict[Value, float]:
 
 
 def _drawn(
-    result: "replays.ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
+    result: "files.ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
 ) -> list[str]:
     figure = figures.replay_figure(result, title, changed or "replayed", width_mm)
     name = path.stem if path.suffix in {f".{kind}" for kind in store.FIGURE_KINDS} else path.name

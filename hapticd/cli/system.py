@@ -29,11 +29,9 @@ with deferred_imports():
     from hapticd.run import supervisor
     from hapticd.run import system_files as service
     from hapticd.run.doctor import checks, late, probes
-    from hapticd.run.doctor import checks as reports
     from hapticd.run.doctor import machine as machines
     from hapticd.settings import build, load, scene
     from hapticd.settings import config as config_files
-    from hapticd.settings import config as tables
     from hapticd.settings import device as device_files
     from hapticd.sim import injection
 
@@ -114,12 +112,12 @@ def show_config(
         terminal.data_json({**plain, "config_hash": settings.config_hash})
         return
     rows = {
-        tables.dotted(path): {
+        config_files.dotted(path): {
             "value": value,
             "unit": unit_of(str(path[-1])),
-            "origin": settings.origins.get(tables.dotted(path)),
+            "origin": settings.origins.get(config_files.dotted(path)),
         }
-        for path, value in tables.leaves(plain)
+        for path, value in config_files.leaves(plain)
     }
     if as_json:
         terminal.data_json(rows)
@@ -202,7 +200,7 @@ def doctor(
         findings.append(finding)
     failed = [finding.name for finding in findings if finding.level == "fail"]
     if report is not None:
-        reports.write_report(report, reports.report_of(machine, asked, findings, measured, status))
+        checks.write_report(report, checks.report_of(machine, asked, findings, measured, status))
         terminal.talk(f"hapticd: {report}: attach this file to a question; read it before")
     found = {
         "ok": not failed,

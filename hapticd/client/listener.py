@@ -16,8 +16,7 @@ import zmq
 
 from hapticd.client.telemetry import Subscription, TelemetryReader
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.protocol import keys as zmq_monitor
-from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair
+from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair, taken
 
 EVENTS = (
     zmq.EVENT_CONNECTED
@@ -67,9 +66,7 @@ class RemoteSubscription(Subscription):
         self._monitor = None
 
     def _quiet(self, topic: str, timeout_s: float) -> HapticdError:
-        seen = (
-            {event.kind for event in zmq_monitor.taken(self._monitor)} if self._monitor else set()
-        )
+        seen = {event.kind for event in taken(self._monitor)} if self._monitor else set()
         return why_quiet(seen, f"{topic}: {self._place}", self._name, timeout_s)
 
 

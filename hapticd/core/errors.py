@@ -4,20 +4,23 @@ the remedy.
 HapticdError               (exit 1; `exit_code` of a class is the exit code of a process that does
                            not catch it)
 ├── ConfigError            a file or argument is wrong: fix it at the place in the message (exit 78)
-│   └── MissingLibrary     an optional library is not installed: the message has the command ├──
-WireError              bytes that break the protocol │   ├── FrameError         one frame: length,
-CRC, range │   └── ProtocolMismatch   the board has another protocol version: flash or install the
-stated one ├── LinkError              the board cannot be reached │   ├── LinkTimeout        no
-frame within the time allowed: the tick is skipped │   ├── LinkStalled        an endpoint stalled or
-babbled: cleared once, then treated as lost │   ├── LinkLost           unplugged or dead: wait for
-it with back-off │   └── LinkAccess         no permission, or claimed by another program ├──
-MailboxError           a shared file is missing, foreign, of another layout or out of range ├──
-RealtimeError          a real-time right was refused in strict mode (exit 6) ├── AnalysisError
-a record cannot be analysed, or a question has no answer: the message │                          has
-the remedy (exit 65) ├── CommandError           the daemon refused a command: `code` is the reason
-(exit 4; 5 when │   │                      stopped or faulted) │   └── SequenceError      a sequence
-ended before its last step, with its receipts and final state └── DaemonDown             no daemon
-answers (exit 3)
+│   └── MissingLibrary     an optional library is not installed: the message has the command
+├── WireError              bytes that break the protocol
+│   ├── FrameError         one frame: length, CRC, range
+│   └── ProtocolMismatch   the board has another protocol version: flash or install the stated one
+├── LinkError              the board cannot be reached
+│   ├── LinkTimeout        no frame within the time allowed: the tick is skipped
+│   ├── LinkStalled        an endpoint stalled or babbled: cleared once, then treated as lost
+│   ├── LinkLost           unplugged or dead: wait for it with back-off
+│   └── LinkAccess         no permission, or claimed by another program
+├── MailboxError           a shared file is missing, foreign, of another layout or out of range
+├── RealtimeError          a real-time right was refused in strict mode (exit 6)
+├── AnalysisError          a record cannot be analysed, or a question has no answer: the message
+│                          has the remedy (exit 65)
+├── CommandError           the daemon refused a command: `code` is the reason (exit 4; 5 when
+│   │                      stopped or faulted)
+│   └── SequenceError      a sequence ended before its last step, with its receipts and final state
+└── DaemonDown             no daemon answers (exit 3)
 
 GuardWarning               a warning: a change acts that some passive hand could destabilise
 """

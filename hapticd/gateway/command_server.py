@@ -369,9 +369,9 @@ class CommandServer:
         if answer is None:
             self.counts["timeouts"] += 1
             outlook = (
-                "it is taken back"
+                "it was withdrawn"
                 if self._taken_back(pending)
-                else "whether it acts is open, ask with `get` or `status`"
+                else "it may still act: check with `get` or `status`"
             )
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
             code = "timeout" if self._view.alive else "servo_down"
@@ -398,12 +398,11 @@ class CommandServer:
         that succeeded. `forced`: there is force that must stay.
         """
         undo = TAKEN_BACK.get(one.kind)
-        return self._withdrawn(one) or (
-            # a servo that was suspended in the middle of a tick has taken it
-            undo is not None
-            and not (forced and undo is Command.DISABLE)
-            and one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None
-        )
+        withdrawn = self._withdrawn(one)
+        if undo is None or (forced and undo is Command.DISABLE):
+            return withdrawn
+        # also if it was withdrawn: a servo suspended while it took the command has a copy
+        return one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None or withdrawn
 
     def _accepted(self, message: RequestMessage, body: dict[str, Any]) -> Reply:
         return message.reply(

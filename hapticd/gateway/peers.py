@@ -257,7 +257,7 @@ class Peer:
 
 
 class Port:
-    """The peers of one kind of socket (`zmtp.PARTNERS`), watched by `selector`.
+    """The peers of one kind of socket (`PARTNERS`), watched by `selector`.
 
     `longest`: maximum bytes of a message; `messages`: maximum queued for a peer; `gone` is called
     with the identity of each peer whose connection ended.

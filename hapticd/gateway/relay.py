@@ -38,8 +38,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS, PROBE_S, SILENCE_S
 from hapticd.guard.worker import LENGTH
-from hapticd.protocol import keys as zmq_monitor
-from hapticd.protocol.keys import Clients, server_pair
+from hapticd.protocol.keys import Clients, server_pair, take
 
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and those of the process itself
 MOST_MEMORY = 256 << 20  # bytes of data; about 60 MB at rest, with the stacks of threads
@@ -213,7 +212,7 @@ class Relay:
         )
 
     def _note(self) -> None:
-        self._connections.take(*zmq_monitor.take(self._monitor))
+        self._connections.take(*take(self._monitor))
 
     def _report(self) -> None:
         """Report changes to the gateway, and one first report: counts at most every LOOK_MS,

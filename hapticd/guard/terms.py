@@ -54,6 +54,10 @@ class Terms(NamedTuple):
     margin_ns_per_m: float  # required
     auto: bool = False  # the guard selects the level of active damping
 
+    def plain(self) -> dict[str, Any]:
+        """Return the terms as the fields of an event."""
+        return self._asdict() | {"mode": "auto" if self.auto else "as set"}
+
 
 def stricter_of(chosen: Terms, configured: Terms) -> Terms:
     """Return `chosen`, with each term that is laxer than in `configured` replaced.
@@ -135,9 +139,9 @@ class TermsKeeper:
         if before != self._configured:
             self._journal.note(
                 "terms_after_restart",
-                asked=before._asdict(),
-                configured=self._configured._asdict(),
-                terms=terms._asdict(),
+                asked=before.plain(),
+                configured=self._configured.plain(),
+                terms=terms.plain(),
                 mode="auto" if terms.auto else "",
             )
         return terms

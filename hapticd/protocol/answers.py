@@ -126,7 +126,7 @@ class GuardVerdict(GuardReading):
     given: dict[str, Any] = field(default_factory=dict)  #: end of the change, shaped as a `set`
     path_points: int = 0  #: judged points of the path
     not_covered: tuple[str, ...] = ()  #: effects that no verdict covers
-    outcome: str = ""  #: an `explanation.Outcome`
+    outcome: str = ""  #: a `journal.Outcome`
     reasons: tuple[Entry, ...] = ()
     remedies: tuple[Entry, ...] = ()  #: alternatives: one is enough
     text: str = ""  #: one sentence made of these

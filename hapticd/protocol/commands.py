@@ -256,9 +256,9 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
             "the guard's policy, basis or margin has changed since this was judged; ask again",
         ),
         Result.CANCELLED: (
-            "stopped",
-            "a stop, a fault, other terms of the guard or the end of its client came first; look at"
-            " the state and ask again",
+            "stopped" if view.state in LATCHED else "refused",
+            "a stop, a fault, other terms of the guard or the end of its client came first; after a"
+            " stop or fault `hapticd reset`, then ask again",
         ),
     }
     if answer.result is Result.REFUSED_OWNER:

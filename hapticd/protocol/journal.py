@@ -78,7 +78,7 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "asked_meanwhile": ("answer", "{by_cmd} was asked meanwhile" + STAYS),
     "changed_before": ("answer", "something else was changed before it" + STAYS),
     "state_left": ("answer", "the servo is {state}" + STAYS),
-    "stood_still": ("answer", "the gateway was suspended meanwhile" + STAYS),
+    "stood_still": ("answer", "the gateway stalled meanwhile" + STAYS),
     "damping_late": (
         "answer",
         "the next stage waited too long: the board reports {reported_ns_per_m:.3g} of"
@@ -118,10 +118,10 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "terms_after_restart": (
         "warning",
         "the gateway has restarted; the guard was asked for {asked[policy]} by {asked[basis]},"
-        " margin {asked[margin_ns_per_m]:g} N s/m; the configuration is {configured[policy]} by"
-        " {configured[basis]}, margin {configured[margin_ns_per_m]:g} N s/m; from now on the guard"
-        " judges under {terms[policy]} by {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m",
-        ", damping {mode}",
+        " margin {asked[margin_ns_per_m]:g} N s/m, damping {asked[mode]}; the configuration is"
+        " {configured[policy]} by {configured[basis]}, margin {configured[margin_ns_per_m]:g}"
+        " N s/m, damping {configured[mode]}; from now on the guard judges under {terms[policy]} by"
+        " {terms[basis]}, margin {terms[margin_ns_per_m]:g} N s/m, damping {terms[mode]}",
     ),
     "answers_lost": ("warning", "{reason}"),
     "flight_not_written": (

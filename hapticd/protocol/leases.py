@@ -215,11 +215,10 @@ class Leases:
         self.heard(actor)
 
     def release(self, what: str, actor: int, how: EventCode = "lease_released") -> Ended:
-        """End the lease of `what`, or own up to its loss; how it ended, then or before. `how` is
-        `lease_failed` where the holder gives up because of an error of its own.
+        """End the lease of `what`, or acknowledge its loss; return how it ended, then or before.
 
-        `how` is FAILED if the holder gives up because of its own error. CommandError: another
-        client holds it, or none does; nothing changed.
+        `how` is `lease_failed` if the holder gives up because of its own error. CommandError:
+        another client holds it, or none does; nothing changed.
         """
         lease = self._held.get(what)
         if lease is not None and lease.actor == actor:

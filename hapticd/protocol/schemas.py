@@ -359,7 +359,8 @@ class GuardRequest(Judged):
     cmd: Literal["guard"]
     policy: Policy = _absent(
         "off: judge nothing; warn: apply the change and warn; clamp: go as far as is safe; refuse:"
-        " apply nothing unsafe; follow: before active damping falls, reduce the environment"
+        " apply nothing unsafe; follow: as refuse, but reduce the environment before active damping"
+        " falls"
     )
     basis: BasisName = _absent("what a verdict rests on")
     margin_ns_per_m: float = _absent("damping that has to be left, N s/m", ge=0, le=1e3)

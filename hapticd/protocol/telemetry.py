@@ -5,7 +5,7 @@ msgpack value: a map or an array of maps. ZeroMQ matches subscriptions by prefix
 must be the plain name of the topic, because PlotJuggler subscribes to the text that its user types.
 To keep `servo.raw` from subscribers of `servo`, a subscription to the name of a topic selects that
 topic only. Another prefix (`""`, `s`, `servo.`) selects all topics that start with it.
-The relay of `leases` uses libzmq, where `servo` includes `servo.raw` while another client has
+The relay (`gateway.relay`) uses libzmq, where `servo` includes `servo.raw` while another client has
 subscribed to that. hapticd's client therefore compares the first frame with the topic; generic
 decoders skip a map of a few numbers and one binary.
 

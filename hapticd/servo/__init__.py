@@ -4,7 +4,8 @@ layers below.
     host        prepare, relax: real-time rights, requested from the operating system
     loop        ServoLoop: the only `while`
     late        the cause of a late tick; the wait for a deadline, which warms the caches meanwhile
-    connection  BoardConnection: the loss, search and return of a board
+    connection  BoardConnection: the loss, search and return of a board, and its checks before it
+                may make force
     step        initial_state, make_step: one tick as a function, the fast path
     slow_path   the slow path of a tick: commands, ramps, homing; the fault of a sample, as its
                 number
@@ -14,11 +15,10 @@ layers below.
                 flatten, unflatten: a checkpoint
     commands    one command on one plan
     safety      TABLE: the state after each command, and the torque and damping of a state; the
-                monitor while the signs are not verified
+                monitors of a limit cycle, and of unverified signs
     inbox       Inbox: requests and faults due at a tick; Streamer: a waveform into the board's FIFO
-    connection, watchdog_trial  checks of a board before it may make force; frames withheld
-    samples, safety  doubtful samples; signs of a limit cycle
+    watchdog_trial  frames withheld, for the board's watchdog
     energy      the limits on the force step and on the energy of a change; ends an energy leak
                 before it becomes the fault `energy`
-    compensation           the temperature of the winding and its compensation
+    compensation  the temperature of the winding and its compensation
 """

@@ -408,8 +408,8 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 def _terms(
     plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
-    """Set the terms in force from now on. Changes scheduled under other terms are cancelled. Ends
-    of bounded changes apply at once, so that later verdicts include them.
+    """Set the terms in force from now on. Changes scheduled under other terms are cancelled, except
+    ends of bounded changes that only lower. These apply at once, so that later verdicts count them.
     """
     seq, _, _, _, values = request
     here = (now.tick, now.tick)

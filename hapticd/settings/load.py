@@ -4,7 +4,7 @@ keep the origin of every value.
 A configuration may only be stricter than its device, a device must be consistent, and the requested
 effects must exist and fit together. All mistakes of both files are reported at once, one line each,
 with file, line, value, unit and limit. Rules that do not depend on a wrong value are checked too
-(`tables.parsed`).
+(`config.parsed`).
 
 Overrides must be merged before validation (they would otherwise not be checked).
 """

@@ -45,7 +45,7 @@ _CANCELLED = 1e-9  # share of the force below which the residual is summed direc
 
 @numba.njit(fastmath=_SUMS, nogil=True, cache=True)
 def fitted_line(signal):  # type: ignore[no-untyped-def]
-    """See `kernels.fitted_line`."""
+    """See `covariances.fitted_line`."""
     n = signal.size
     middle = 0.5 * (n - 1)
     total = 0.0
@@ -59,14 +59,14 @@ def fitted_line(signal):  # type: ignore[no-untyped-def]
 
 @numba.njit(fastmath=_SUMS, nogil=True, cache=True)
 def take_line_out(signal, value, slope, out):  # type: ignore[no-untyped-def]
-    """See `kernels.take_line_out`."""
+    """See `covariances.take_line_out`."""
     for i in range(signal.size):
         out[i] = signal[i] - (value + slope * i)
 
 
 @numba.njit(fastmath=_SUMS, nogil=True, cache=True)
 def accumulate(velocity, force, sums):  # type: ignore[no-untyped-def]
-    """See `kernels.accumulate`."""
+    """See `covariances.accumulate`."""
     sections, bins = velocity.shape
     for k in range(bins):
         sign = 1 - 2 * (k & 1)
@@ -93,7 +93,7 @@ def accumulate(velocity, force, sums):  # type: ignore[no-untyped-def]
 
 
 def local_fits(whole: Transforms, places: Integers, fit: Fit) -> None:
-    """See `kernels.local_fits`."""
+    """See `covariances.local_fits`."""
     first = np.maximum(places - whole.half, 1)
     last = np.minimum(places + whole.half + 1, whole.velocity.size)
     borders = np.union1d(first, last)

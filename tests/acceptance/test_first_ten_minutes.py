@@ -32,7 +32,7 @@ BY_DELAY = {
         "unstable without a hand, its motion doubles in N ms, worst near N Hz"
     ),
     "hapticd: allowed, each with the others as asked: B N to N N s/m": (
-        "hapticd: lowering K, B or M alone is not enough"
+        "hapticd: no value of K, B or M alone is enough, with the others as asked"
     ),
 }
 

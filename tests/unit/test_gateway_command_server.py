@@ -284,7 +284,7 @@ def test_force_that_was_not_answered_is_taken_back(
     message = decoded(reply)["error"]["message"]
     known = undo is not None or servo == "deaf"
     assert message.endswith(
-        "it is taken back" if known else "whether it acts is open, ask with `get` or `status`"
+        "it was withdrawn" if known else "it may still act: check with `get` or `status`"
     )
     posted = [rig.servo.mailbox.take() for _ in range(2)]
     expected = [Command.WITHDRAWN, None] if servo == "deaf" else [undo, None]

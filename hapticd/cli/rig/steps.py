@@ -28,7 +28,6 @@ from hapticd.core.params import DeviceParams, ScaleParams
 with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate
-    from hapticd.rig import result as hands
     from hapticd.rig import result as results
     from hapticd.rig.steps import link as link_step
     from hapticd.settings import build, load
@@ -55,7 +54,7 @@ class StepOptions:
 
 
 def run(
-    options: StepOptions, measure: "Callable[[clients.Client, hands.Ask], results.StepResult]"
+    options: StepOptions, measure: "Callable[[clients.Client, results.Ask], results.StepResult]"
 ) -> None:
     """Perform a step on the daemon, keep and write its results, and show them."""
     show(perform(options, load.load(options.config), measure), options.as_json)
@@ -82,14 +81,14 @@ def lines(result: "results.StepResult") -> list[str]:
     return [f"rig {result.step}", *found]
 
 
-def asking(yes: bool) -> "hands.Ask":
+def asking(yes: bool) -> "results.Ask":
     """Return a function that asks a person; with --yes it announces the action and waits. If
     HAPTICD_HAND is a socket, the program there acts as the hand.
     """
     machine = os.environ.get(HAND)
-    done = hands.asked_at(Path(machine)) if machine else None
+    done = results.asked_at(Path(machine)) if machine else None
 
-    def ask(request: "hands.Request") -> None:
+    def ask(request: "results.Request") -> None:
         terminal.talk(f"> {request.text}")
         if done:
             done(request)
@@ -122,7 +121,7 @@ def agreed(question: str, usual: bool = True) -> bool:
 def perform(
     options: StepOptions,
     settings: "load.Settings",
-    measure: "Callable[[clients.Client, hands.Ask], results.StepResult]",
+    measure: "Callable[[clients.Client, results.Ask], results.StepResult]",
 ) -> "results.StepResult":
     """Perform a step with `measure`, keep its records, and write its results into the device file.
 

@@ -16,17 +16,14 @@ from hapticd.core.errors import AnalysisError, ConfigError
 with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate, experiment
-    from hapticd.rig import result as hands
     from hapticd.rig import result as results
     from hapticd.rig.steps import damping as damping_step
     from hapticd.rig.steps import delivery, probe_fits
     from hapticd.rig.steps import encoder as encoder_step
     from hapticd.rig.steps import identify as identify_step
     from hapticd.rig.steps import motor as motor_step
-    from hapticd.rig.steps import motor as spring_step
     from hapticd.rig.steps import probe as probe_step
     from hapticd.rig.steps import verify as verify_step
-    from hapticd.rig.steps import winding as temperature_step
     from hapticd.rig.steps import winding as winding_step
     from hapticd.settings import load
 
@@ -136,16 +133,16 @@ def motor(
     if pulls_to not in (-1, 1):
         raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
 
-    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
+    def measure(client: "clients.Client", ask: "results.Ask") -> "results.StepResult":
         if mass:
             masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
             return motor_step.measure_gain(client, ask, masses)
         if spring is not None:
-            return spring_step.measure_spring(
-                client, ask, spring_step.Spring(spring, spring_tolerance)
+            return motor_step.measure_spring(
+                client, ask, motor_step.Spring(spring, spring_tolerance)
             )
         if offset:
-            return spring_step.measure_offset(client, ask)
+            return motor_step.measure_offset(client, ask)
         if winding:
             return winding_step.measure(client, ask, lever_m)
         return motor_step.measure_sign(client, ask)
@@ -279,10 +276,10 @@ def temperature(
 
     No force is applied. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
-    stated = temperature_step.KnownTemperatures(tuple(at), tolerance)
+    stated = winding_step.KnownTemperatures(tuple(at), tolerance)
     steps.run(
         options,
-        lambda client, ask: temperature_step.measure_temperature(client, ask, stated, not no_shake),
+        lambda client, ask: winding_step.measure_temperature(client, ask, stated, not no_shake),
     )
 
 
@@ -333,7 +330,7 @@ def verify(
     known = verify_step.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
     about: list[Any] = []
 
-    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
+    def measure(client: "clients.Client", ask: "results.Ask") -> "results.StepResult":
         hello = client.hello()
         refuse_another_file(hello.servo.device_file_sha256, settings)
         board = experiment.identity_of(client, experiment.collect(client, LOOK_S).records)

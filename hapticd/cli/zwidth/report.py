@@ -19,7 +19,6 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
-    from hapticd.recording import provenance as certificate
     from hapticd.signal import verdict
     from hapticd.zwidth import limits as axis_limits
     from hapticd.zwidth import map as maps
@@ -175,7 +174,7 @@ def _write(
     drawn = [(level.active_damping_ns_per_m, level.envelope) for level in found.levels]
     numbers = [portable.numbers_of(level, conditions.display) for level in found.levels]
     file_hash = portable.device_hash(str(device_file))
-    certified = certificate.certificate_beside(device_file, file_hash)
+    certified = certificates.certificate_beside(device_file, file_hash)
     content = portable.portable(name, file_hash, drawn, limits.limits, about, numbers, certified)
     text = json.dumps({**content, "provenance": provenance}) + "\n"
     summary = {"kind": "report", "device": name, **about, "provenance": provenance}

@@ -6,7 +6,7 @@ a delay D as a zero-order hold through a smoothing of time constant s. So at eve
     m v' + b v + Fc phi + f0 = t + g F,     F = smoothed staircase of f,  g = gain of the motor
 
 and m, b, Fc, g are linear in it (`force_terms` has each term). All terms pass the same window, and
-the equation is solved at Fourier lines of LOW_HZ to HIGH_HZ (`estimate.jackknife`). Coulomb and
+the equation is solved at Fourier lines of LOW_HZ to HIGH_HZ (`result.jackknife`). Coulomb and
 viscous friction differ because v grows with the amplitude and phi does not (their describing
 functions), so two amplitudes are played.
 

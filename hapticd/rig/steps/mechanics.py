@@ -1,7 +1,7 @@
 """Mechanical parameters from the balance of forces, with intervals that include its own limits.
 
 Newtons are the mean of two scales, the probe's and the motor's, each weighted by its interval;
-motion is that of the encoder. The intervals from the blocks (`estimate.jackknife`) are combined
+motion is that of the encoder. The intervals from the blocks (`result.jackknife`) are combined
 with those of the scales, and with the possible errors of the balance itself.
 
 The lag of a command, delay plus smoothing, is known directly. Its division follows from the

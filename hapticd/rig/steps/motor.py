@@ -361,7 +361,7 @@ def believable(scale: float) -> Finding:
     return checked(
         f"a commanded newton is {scale:.4g} N",
         1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION,
-        "are the masses in kg, the radii and the side correct? If not, correct force.full_scale_n",
+        "check masses (kg), radii and side; if they are correct, correct force.full_scale_n",
         "refused",
     )
 
