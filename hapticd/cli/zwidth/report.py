@@ -19,6 +19,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
+    from hapticd.recording import provenance as certificates
     from hapticd.signal import verdict
     from hapticd.zwidth import limits as axis_limits
     from hapticd.zwidth import map as maps
