@@ -70,7 +70,7 @@ def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
     if ranges:
         lines.append(f"allowed, each with the others as asked: {', '.join(ranges)}")
     elif allowed:
-        lines.append("no value of K, B or M alone is enough, with the others as asked")
+        lines.append("no K, B or M alone is enough, with the others as asked")
     least = verdict.least_active_damping_ns_per_m
     if least is not None:
         lines.append(f"least level of active damping tried that is enough: {least:.4g} N s/m")

@@ -411,7 +411,7 @@ def _shortage(region: SafeRegion, worst: Reading, side: str) -> tuple[Reason, st
     rate_hz = region.basis.rate_hz
     if worst.radius is not None and worst.radius >= 1.0 and rate_hz is not None:
         return Reason.UNSTABLE, (
-            f"unstable without a hand{side}, its motion {doubling_text(worst.radius, rate_hz)},"
+            f"unstable by itself{side}, its motion {doubling_text(worst.radius, rate_hz)},"
             f" worst near {worst.worst_hz:.3g} Hz"
         )
     return Reason.SHORT, (

@@ -33,7 +33,7 @@ that changes. An environment that passes the theorem passes this condition.
 Friction, as a damper on the rotor, adds to r alone. It counts only for motions as small as those at
 which it was linearised.
 
-Limitations: an environment that is unstable without a hand (`loop.spectral_radius`); a hand that
+Limitations: an environment that is unstable by itself (`loop.spectral_radius`); a hand that
 holds the device elsewhere than at the probe, where the impedance differs; a node that only dampers
 hold, which stays where it is pushed, an eigenvalue 1 that is not an oscillation.
 
@@ -406,7 +406,7 @@ class Forecast:
     theorem_margin: float  # damping margin, N s/m
     theorem_passive: bool  # includes stability, which the theorem assumes
     withstands: bool  # whether no passive hand makes it oscillate
-    # None if it withstands, is unstable without a hand, or no hand was found
+    # None if it withstands, is unstable by itself, or no hand was found
     shaker: DestabilisingHand | None
     true: Prediction  # of Z itself, K < 0 allowed
     recorded: Prediction  # of Z as the probe's channels record it, K < 0 allowed

@@ -93,7 +93,7 @@ class GuardReading:
 
     margin_ns_per_m: float | None = None  #: damping margin, N s/m; negative: a shortfall
     worst_hz: float | None = None  #: frequency of the smallest margin
-    radius: float | None = None  #: spectral radius of a tick; 1 or more: unstable without a hand
+    radius: float | None = None  #: spectral radius of a tick; 1 or more: unstable by itself
 
 
 @dataclass(frozen=True, slots=True)

@@ -701,14 +701,14 @@ def has(page: Page, place: str, folder: Path, colour: tuple[int, int, int]) -> b
 def test_impedance_is_estimated_while_something_excites_the_device(
     page: Page, client: Client, tmp_path: Path
 ) -> None:
-    wait_text(page, "#impedance-note", "nothing excites it")
+    wait_text(page, "#impedance-note", "no excitation")
     client.enable()
     page.click("#excite")
     wait_text(page, "#impedance-note", "Re Z")
     wait_text(page, "#impedance h2", "running estimate, no verdict")
     until(lambda: has(page, "#impedance .plot", tmp_path, TRACE), "an estimate")
     page.click("#excite")
-    wait_text(page, "#impedance-note", "nothing excites it")
+    wait_text(page, "#impedance-note", "no excitation")
 
 
 def test_a_recording_has_the_operators_words(page: Page, served: Served, recordings: Path) -> None:

@@ -26,13 +26,13 @@ PATIENCE_S = 120.0
 FROM_OUTSIDE = ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME", "HAPTICD_CONFIG", "RUNTIME_DIRECTORY")
 NUMBER = r"-?\d+(\.\d+)?(e[+-]?\d+)?"
 # the guard judges by the delay that it measured: on a slow computer the same environment, with too
-# little active damping, is unstable without a hand and leaves no virtual damping that would do
+# little active damping, is unstable by itself and leaves no virtual damping that would do
 BY_DELAY = {
     "N N s/m short at N Hz (theorem)": (
-        "unstable without a hand, its motion doubles in N ms, worst near N Hz"
+        "unstable by itself, its motion doubles in N ms, worst near N Hz"
     ),
     "hapticd: allowed, each with the others as asked: B N to N N s/m": (
-        "hapticd: no value of K, B or M alone is enough, with the others as asked"
+        "hapticd: no K, B or M alone is enough, with the others as asked"
     ),
 }
 

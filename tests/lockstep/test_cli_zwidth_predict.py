@@ -83,7 +83,7 @@ def test_unstable_environment_needs_no_hand(capsys):
     assert found["hand"] is None
     assert not found["withstands_every_hand"]
     assert not found["passive"]
-    assert "unstable without a hand" in said(["-K", "3000"], capsys)
+    assert "unstable by itself" in said(["-K", "3000"], capsys)
 
 
 def test_what_is_left_out_is_zero_without_a_scene(capsys):

@@ -94,7 +94,7 @@ def test_listener_where_nobody_is_is_told_so() -> None:
         port = taken.getsockname()[1]
     with (
         Listener(f"tcp://127.0.0.1:{port}", timeout_s=0.1) as line,
-        pytest.raises(DaemonDown, match="nobody listens there"),
+        pytest.raises(DaemonDown, match="no gateway listens there"),
     ):
         next(line.listen("state"))
 

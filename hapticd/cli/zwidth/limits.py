@@ -148,7 +148,7 @@ def _amplitude(perturbation: "linearise.Perturbation") -> str:
 
 def _hand(found: "coupled.Forecast") -> str:
     if found.refused or not found.stable:
-        return "none is needed: it is unstable without a hand" if not found.stable else "not sought"
+        return "none is needed: it is unstable by itself" if not found.stable else "not sought"
     if found.withstands:
         return "no passive hand brings it to oscillate, even without friction"
     if found.shaker is None:

@@ -131,7 +131,7 @@ def _tmpfs(folder: Path, size: int) -> str:
 
 
 def _no_room_for_rings(folder: Path) -> None:
-    Refusal(RUN, folder, _tmpfs(folder, SMALL)).check("make room")
+    Refusal(RUN, folder, _tmpfs(folder, SMALL)).check("free some space")
 
 
 def _no_room_for_flight(folder: Path) -> None:
