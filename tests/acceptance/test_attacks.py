@@ -277,7 +277,7 @@ DEFECTS = {
     "enable-in-stages": [("lifecycle_enable_in_stages_outlives_a_disable", 8)],
     "gateway-stands-still": [("lifecycle_verdict_without_deadline", 2)],
     "bounded-push": [("lifecycle_no_end", 4)],
-    "measuring-lease": [("lifecycle_batch_keeps_its_terms", 4)],
+    "measuring-lease": [("lifecycle_terms_cancel_nothing", 4)],
     "former-gateway": [("lifecycle_terms_cancel_nothing", 4)],
     "policy-made-strict": [("guard_scheduled_by_other_terms", 4)],
     "gateway-beside-servo": [("lifecycle_judged_by_the_models_delay", 4)],
