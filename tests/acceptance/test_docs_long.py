@@ -118,7 +118,7 @@ def test_configuration_page_says_range_and_default(site: Path) -> None:
     assert "| `rate_hz` | Hz | number >= 50, <= 20000 | `1000.0` |" in text
     assert '| `on_gateway_loss` |  | `"fault"`, `"hold"` | `"fault"` |' in text
     assert (
-        "| `core` |  | integer >= 0 | not set | Left out: the last core that this process may"
+        "| `core` |  | integer >= 0 | not set | Default: the last core that this process may"
         " use. |" in text
     )
 
