@@ -104,7 +104,7 @@ def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys
     monkeypatch.setattr(steps, "answer", lambda question: next(said))
     assert main(["rig"]) == 0
     told = capsys.readouterr().err
-    assert "Signs are not verified yet" in told
+    assert "The signs are not verified yet" in told
     assert "start it again" not in told
 
 
