@@ -221,7 +221,7 @@ def test_a_handle_that_is_held_is_refused():
         result = measure(hand.bench, nothing)
         assert hand.bench.status().state == "disabled"
     assert not result.settled
-    assert "let the handle go" in result.findings[0].remedy
+    assert "release the handle" in result.findings[0].remedy
 
 
 def test_a_host_that_takes_its_time_gets_more_of_it():
