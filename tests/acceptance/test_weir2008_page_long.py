@@ -171,5 +171,5 @@ def test_page_of_trials_refuses_a_prediction(tmp_path: Path) -> None:
         [sys.executable, str(DOCS / "reproduce.py"), str(tmp_path)], capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert "predicted with --quick; the page tells of trials: run it without" in done.stderr
+    assert "predicted with --quick; the page reports trials: run it without" in done.stderr
     assert (DOCS / "reproduction.md").read_text() == before
