@@ -552,8 +552,8 @@ def lightest_safe(
     points = points[lifted_passive(lifted_system(own.model, level, own.filters), points)]
     if not len(points):
         raise AnalysisError(
-            f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even where"
-            " nothing is rendered"
+            f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even for"
+            " a free display"
         )
     best = points[mean_db(shown_hz(), bench.sizes(points, level), LOW_HZ).argmin()]
     return float(best[1]), float(best[2])
