@@ -1,9 +1,9 @@
 """Parts that a law may have beside its sum of K, B and M: other estimators of the velocity, and a
 controller of the energy.
 
-An estimator takes the place of the filtered difference under B alone, F = -K x - B v - M a. The
-functions are what the batch engine compiles, as it compiles `law.render`: floats and tuples of
-floats in and out, coefficients made outside (`LawPart.numbers`), no branch on what a scene has.
+An estimator replaces the filtered difference under B alone, F = -K x - B v - M a. The batch engine
+compiles these functions, as it compiles `law.render`: floats and tuples of floats in and out,
+coefficients made outside (`LawPart.numbers`), no branch on the contents of a scene.
 
     FOAW     Janabi-Sharifi, Hayward and Chen 2000, "Discrete-time adaptive windowing for velocity
              estimation", end-fit: the longest window of at most 15 periods in which the line from
@@ -18,17 +18,17 @@ floats in and out, coefficients made outside (`LawPart.numbers`), no branch on w
              by Euler's rule at the servo's rate. With |x''| <= C the author takes l = 1.5 sqrt C
              and a = 1.1 C; v is then exact after a finite time, but for sampling and noise
 
-A controller changes the force that the sum gives, inside the limit of the command.
+A controller changes the force of the sum, within the limit of the command.
 
     PO/PC    Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", in
              series with an environment of the impedance kind: the observer books the energy that
              the environment takes up, W <- W - F dx for F at the end of dx, and where W < 0 the
              controller adds the damper that brings it back to 0, F <- F + W / dx
 
-The authors have no other number. With a limit, W keeps what the controller could not take. A force
-that is held acts in the dx to come, so W of a spring never falls below its energy, whatever it
-gives. `held_observer` books the force before instead, which is exact without delay (Stramigioli,
-Secchi, van der Schaft and Fantuzzi 2005); the work of its damper is in the next W.
+The authors have no other number. With a limit, W keeps the energy that the controller could not
+absorb. A held force acts in the dx to come, so W of a spring never falls below its energy, however
+much it gives out. `held_observer` books the previous force instead, which is exact without delay
+(Stramigioli, Secchi, van der Schaft and Fantuzzi 2005); the work of its damper is in the next W.
 
 None of these is linear: it has no impedance, and no theorem here judges it. Limitations: the damper
 of a wall stays with the filtered difference.
@@ -53,12 +53,12 @@ __all__ = [
 PERIODS: Final = 15  # in the longest window of FOAW
 
 Memory = tuple[float, ...]
-Estimate = tuple[float, Memory]  # velocity [m/s], and what is remembered
+Estimate = tuple[float, Memory]  # velocity [m/s], and the new memory
 
 
 @dataclass(frozen=True, slots=True)
 class LawPart:
-    """A part with its numbers, and what it remembers: positions, then other values."""
+    """A part with its numbers and its memory: positions, then other values."""
 
     kind: str  # of ESTIMATORS or CONTROLLERS
     numbers: tuple[float, ...]  # as its function names them
@@ -66,13 +66,13 @@ class LawPart:
     others: tuple[float, ...] = ()  # at the start
 
     def at_rest(self, x: float) -> Memory:
-        """What it remembers of a device that has been at rest at `x` [m] for ever."""
+        """Return its memory for a device that has always been at rest at `x` [m]."""
         return (x,) * self.positions + self.others
 
 
 def foaw(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
-    """Velocity [m/s] by FOAW at position `x` [m]; `memory`: the positions before, the last one
-    first; `numbers`: largest miss of a sample [m], rate [Hz].
+    """Return the velocity [m/s] by FOAW at position `x` [m]; `memory`: the positions before, the
+    last one first; `numbers`: largest miss of a sample [m], rate [Hz].
     """
     bound, rate = numbers
     slope = periods = 0.0  # not the indices: an integer would drag single precision into double
@@ -92,7 +92,7 @@ def foaw(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
 
 
 def levant(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
-    """Velocity [m/s] by Levant's differentiator at position `x` [m]; `memory` = (z, u);
+    """Return the velocity [m/s] by Levant's differentiator at position `x` [m]; `memory` = (z, u);
     `numbers`: l [m^0.5/s], a [m/s^2], period [s].
     """
     z, u = memory
@@ -110,8 +110,8 @@ def levant(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
 def observer(
     x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
 ) -> tuple[float, Memory]:
-    """Force [N] of PO/PC at position `x` [m] for the `force` [N] of the environment, inside
-    +-`limit`; `memory`: the position before, W [J].
+    """Return the force [N] of PO/PC at position `x` [m] for the `force` [N] of the environment,
+    within +-`limit`; `memory`: the position before, W [J].
     """
     before, energy = memory
     moved = x - before
@@ -125,7 +125,7 @@ def observer(
 def held_observer(
     x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
 ) -> tuple[float, Memory]:
-    """As `observer`; `memory`: the position before, W [J], the force that was given then [N]."""
+    """As `observer`; `memory`: the position before, W [J], the force commanded there [N]."""
     before, energy, held = memory
     moved = x - before
     energy -= held * moved
@@ -135,23 +135,23 @@ def held_observer(
 
 
 def foaw_part(bound_m: float, rate_hz: float) -> LawPart:
-    """FOAW for noise of at most that magnitude, an encoder's count."""
+    """Return FOAW for noise of at most that magnitude, an encoder's count."""
     return LawPart("foaw", (bound_m, rate_hz), PERIODS)
 
 
 def levant_part(acceleration_m_per_s2: float, rate_hz: float) -> LawPart:
-    """Levant's differentiator for a motion of at most that acceleration, C."""
+    """Return Levant's differentiator for a motion of at most that acceleration, C."""
     gain = 1.5 * sqrt(acceleration_m_per_s2)
     return LawPart("levant", (gain, 1.1 * acceleration_m_per_s2, 1.0 / rate_hz), 1, (0.0,))
 
 
 def observer_part() -> LawPart:
-    """PO/PC, from an environment that has taken up nothing."""
+    """Return PO/PC for an environment that has absorbed no energy."""
     return LawPart("observer", (), 1, (0.0,))
 
 
 def held_observer_part() -> LawPart:
-    """The same with the force that was held."""
+    """Return PO/PC that books the held force."""
     return LawPart("held_observer", (), 1, (0.0, 0.0))
 
 

@@ -6,8 +6,8 @@ spring and a damper from there to the ground. All six sizes are spread evenly in
 from less than a fingertip to more than an arm, and far beyond both in their losses. Everything is
 at rest when the probe is pushed for 0.25 s and let go: with 1 N where the scene's noise is the
 paper's, in proportion where it is stronger, but with no more than half of the force limit. A
-passive display has then received, up to any time, as much energy as it has given back, or more.
-What it gives out beyond that is the energy that it made:
+passive display has then received, up to any time, at least as much energy as it has given back. The
+energy given out beyond that is its own:
 
     E = - least over t of the integral of (push + force of the hand) v        at the port
 
@@ -16,8 +16,8 @@ GIVEN_J, or the motion diverges. Hands in which that happens first are varied, t
 This is a necessary condition of passivity, in these hands and for this push; the theorem
 (`model.theorem`) is a sufficient one without dry friction.
 
-The port is recorded at 4 kHz, as means of force and velocity: what a hand takes up above some
-500 Hz is booked too small. Limitations: hands of more than two masses, other pushes, and growth so
+The port is recorded at 4 kHz, as means of force and velocity: energy above about 500 Hz is booked
+too small. Limitations: hands of more than two masses, other pushes, and growth so
 slow that it does not show within SECONDS.
 """
 
@@ -50,7 +50,7 @@ __all__ = ["GIVEN_J", "SECONDS", "EnergyRow", "run_port_energy"]
 SECONDS = 2.0  # of a trial
 PUSH_N = 1.0  # under the noise of the paper
 PUSH_S = 0.25
-GIVEN_J = 1e-5  # beyond rounding and what the record books too small
+GIVEN_J = 1e-5  # beyond rounding and the error of the record
 # sizes of a hand: mass on the probe [kg], second mass, spring [N/m] and damper [N s/m] between
 # the two, spring and damper to the ground
 LEAST = np.log([1e-5, 1e-4, 10.0, 1e-3, 1.0, 1e-3])
@@ -70,7 +70,7 @@ FOAW = "FOAW"
 OBSERVERS = {"PO/PC": observer_part(), "PO/PC, held force": held_observer_part()}
 LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
 AS_IT_IS = REMEDIES[0].name
-# what is judged, and the remedy of the table by theory that it changes further
+# each judged remedy, and the remedy of the table by theory that it extends
 BASES = {
     AS_IT_IS: AS_IT_IS,
     "best corner": "best corner",
@@ -119,7 +119,7 @@ class Tried:
 
 
 def hand_of(sizes: Floats) -> Hand:
-    """The hand of six logarithms."""
+    """Return the hand of six logarithms."""
     probe, mass, grip_k, grip_b, arm_k, arm_b = np.exp(sizes)
     between = np.array([[1.0, -1.0], [-1.0, 1.0]])
     ground = np.diag([0.0, 1.0])
@@ -128,13 +128,13 @@ def hand_of(sizes: Floats) -> Hand:
 
 
 def pushed_n(scene: Scene) -> float:
-    """The push [N] on the scene's device."""
+    """Return the push [N] on the scene's device."""
     stronger = sqrt(noise(scene).psd_n2_per_hz / NOISE.psd_n2_per_hz)
     return min(PUSH_N * stronger, 0.5 * display(scene).force_limit_n)
 
 
 def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floats:
-    """E [J] (H, N) of environments (N, 2), K and B, in `hands` (H, 6); inf where it diverged."""
+    """Return E [J] (H, N) of environments (N, 2), K and B, in `hands` (H, 6); inf if diverged."""
     model = display(scene).model
     push = np.zeros(round(SECONDS * PROBE_RATE_HZ))
     push[: round(PUSH_S * PROBE_RATE_HZ)] = pushed_n(scene)
@@ -155,7 +155,7 @@ def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floa
 
 
 def first_failures(scene: Scene, parts: Parts, hands: Floats, k: Floats, b: Floats) -> Floats:
-    """The first of `k` [N/m] (ascending) at which each hand gets too much, at each of `b`
+    """Return the first of `k` [N/m] (ascending) at which each hand gets too much, at each of `b`
     [N s/m]: (H, B); inf: none.
     """
     points = np.array([(stiffness, damping) for damping in b for stiffness in k])
@@ -164,7 +164,7 @@ def first_failures(scene: Scene, parts: Parts, hands: Floats, k: Floats, b: Floa
 
 
 def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
-    """On the coarse grid over the first row's K and B, in the hands that all share."""
+    """Try the coarse grid over the first row's K and B, in the hands that all laws share."""
     hands = np.random.default_rng(1).uniform(LEAST, MOST, (HANDS[quick], LEAST.size))
     least = LEAST_DAMPING * first.stiffness_n_per_m / first.rate_hz
     b = VIRTUAL_DAMPING * max(first.virtual_damping_ns_per_m, least)
@@ -176,7 +176,7 @@ def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
 
 
 def worsened(one: Tried, quick: bool) -> Tried:
-    """With variations of the hands that fail first, on finer grids of K below their failure."""
+    """Add variations of the hands that fail first, on finer grids of K below their failure."""
     random = np.random.default_rng(2)
     for _ in range(ROUNDS[quick]):
         worst = np.argsort(one.failed_n_per_m[:, one.best], kind="stable")[:PARENTS]
@@ -199,7 +199,7 @@ def worsened(one: Tried, quick: bool) -> Tried:
 
 
 def laws(name: str, scene: Scene) -> list[tuple[float, Parts]]:
-    """What a remedy may add to the law, and the number of each; the best one counts."""
+    """Return the parts that a remedy may add to the law, each with its number; the best counts."""
     model = display(scene).model
     if name == FOAW:
         count_m = model.encoder_quantum_m or 0.0
@@ -211,7 +211,7 @@ def laws(name: str, scene: Scene) -> list[tuple[float, Parts]]:
 
 
 def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
-    """The row of a remedy whose scene is `scene`."""
+    """Return the row of a remedy whose scene is `scene`."""
     found = [
         (number, worsened(tried(scene, parts, first, quick), quick))
         for number, parts in laws(name, scene)
@@ -236,8 +236,8 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
 def run_port_energy(
     params: RemediesParams, rows: Sequence[Row], store: TrialStore, tell: Progress = silent
 ) -> tuple[EnergyRow, ...]:
-    """For devices in `rows` that render some K, remedies that are there and those that are not
-    linear; what the store has is not done again. ConfigError as `compose` and `simulate`.
+    """Judge the linear remedies in `rows` and the nonlinear ones, for each device that renders some
+    K. Rows in the store are not computed again. ConfigError as `compose` and `simulate`.
     """
     known = {(row.device, row.remedy): row for row in rows}
     asked = [
