@@ -51,24 +51,28 @@ lab: $(VENV)/lab.stamp
 practice: $(VENV)/run.stamp
 	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
 
-# tests that need no clock run on all cores, a worker on each, so that BLAS needs no threads of its own;
-# those of real processes run one after the other
+# Tests that need no clock run on all cores, a worker on each, so that BLAS needs no threads of its own. Tests of real processes run
+# one after the other, at the same time; the first get the time that these leave, and must not delay their ticks.
 PYTEST := $(BIN)/python -m pytest
 WORKERS := OPENBLAS_NUM_THREADS=1 $(PYTEST) --numprocesses auto
 MAIN_JOB := tests/process/test_main_job.py
 
 # what is imported is compiled once, also where the environment says that nothing be kept
-test check: export PYTHONDONTWRITEBYTECODE =
+test check bench: export PYTHONDONTWRITEBYTECODE =
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports & imports=$$!; $(BIN)/mypy; wait $$imports
-	$(WORKERS) --dist worksteal tests/unit tests/lockstep $(ARGS)
-	$(PYTEST) $(MAIN_JOB) $(ARGS)
+	@mkdir -p build
+	@nice -n 19 env $(WORKERS) --dist worksteal tests/unit tests/lockstep $(ARGS) & computing=$$!; \
+	failed=0; \
+	$(PYTEST) $(MAIN_JOB) $(ARGS) >build/main-job.txt 2>&1 || failed=1; \
+	wait $$computing || failed=1; \
+	cat build/main-job.txt; \
+	exit $$failed
 
-# tests that only compute get the time that those of processes leave, whose ticks they must not delay; all are run, then all
-# must have passed. .ci/idle begins a session, which a Ctrl-C here does not reach.
+# all are run, then all must have passed; .ci/idle begins a session, which a Ctrl-C here does not reach
 COMPUTING := .ci/idle env $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 1800 -m "not process" tests/acceptance
 check: ARGS += --all-must-run
 check: check-installed test

@@ -29,11 +29,12 @@ class BenchError(Exception):
 
 def environment(*folders: Path) -> dict[str, str]:
     """Return the environment of a child that imports hapticd and benchmarks from this checkout, and
-    others from `folders`.
+    others from `folders`. Bytecode is kept, as it is in an installation.
     """
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *folders))),
+        "PYTHONDONTWRITEBYTECODE": "",
         "PYTHONHASHSEED": "0",
         "OPENBLAS_NUM_THREADS": "1",
     }
