@@ -64,6 +64,7 @@ __all__ = [
     "NOWHERE",
     "LiftedSystem",
     "OpenLoop",
+    "circles",
     "lifted_margin",
     "lifted_passive",
     "lifted_system",

@@ -1,5 +1,5 @@
-"""Parts that a law may have beside its sum of K, B and M: other estimators of the velocity, and a
-controller of the energy.
+"""Parts that a law may have beside its sum of K, B and M: other estimators of the velocity, and
+controllers of the energy.
 
 An estimator replaces the filtered difference under B alone, F = -K x - B v - M a. The batch engine
 compiles these functions, as it compiles `law.render`: floats and tuples of floats in and out,
@@ -30,12 +30,26 @@ absorb. A held force acts in the dx to come, so W of a spring never falls below 
 much it gives out. `held_observer` books the previous force instead, which is exact without delay
 (Stramigioli, Secchi, van der Schaft and Fantuzzi 2005); the work of its damper is in the next W.
 
+With a window, PO/PC forgets W > 0 at the end of each WINDOW of 30 ticks: energy that was taken up
+long ago pays for nothing. The length is that of SAI primitives (Jorda and Khatib),
+where each sample leaves a sliding window, and the energy of the spring counts beside W.
+
+    tank     Franken, Stramigioli, Misra, Secchi and Macchelli 2011, "Bilateral telemanipulation
+             with time delays: a two-layer approach combining passivity and transparency", for a
+             display alone; Ferraguti, Secchi and Fantuzzi 2013. The tank E is filled by what the
+             held force takes up, E <- E - F' dx. Below its level a damper fills it from the hand,
+             F <- F - a (level - E) dx. A force that would take more than E in a displacement like
+             the last one is cut: F dx <= max(E, 0)
+
+The authors leave level and refill a to the user. Here the tank is empty at the start, and has no
+upper end.
+
 None of these is linear: it has no impedance, and no theorem here judges it. Limitations: the damper
 of a wall stays with the filtered difference.
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 from typing import Final
 
 from hapticd.render.law import clamp
@@ -43,14 +57,17 @@ from hapticd.render.law import clamp
 __all__ = [
     "CONTROLLERS",
     "ESTIMATORS",
+    "WINDOW",
     "LawPart",
     "foaw_part",
     "held_observer_part",
     "levant_part",
     "observer_part",
+    "tank_part",
 ]
 
 PERIODS: Final = 15  # in the longest window of FOAW
+WINDOW: Final = 30.0  # ticks, of an observer that forgets
 
 Memory = tuple[float, ...]
 Estimate = tuple[float, Memory]  # velocity [m/s], and the new memory
@@ -111,15 +128,21 @@ def observer(
     x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
 ) -> tuple[float, Memory]:
     """Return the force [N] of PO/PC at position `x` [m] for the `force` [N] of the environment,
-    within +-`limit`; `memory`: the position before, W [J].
+    within +-`limit`; `memory`: the position before, W [J], ticks of the window so far; `numbers`:
+    ticks in a window.
     """
-    before, energy = memory
+    before, energy, ticks = memory
+    (window,) = numbers
+    if ticks >= window:
+        ticks = 0.0
+        if energy > 0.0:
+            energy = 0.0
     moved = x - before
     after = energy - force * moved
     if after < 0.0 and moved != 0.0:
         force = clamp(force + after / moved, limit)
         after = energy - force * moved
-    return force, (x, after)
+    return force, (x, after, ticks + 1.0)
 
 
 def held_observer(
@@ -134,6 +157,27 @@ def held_observer(
     return force, (x, energy, force)
 
 
+def tank(
+    x: float, force: float, limit: float, memory: Memory, numbers: tuple[float, ...]
+) -> tuple[float, Memory]:
+    """Return the force [N] that the tank lets through, within +-`limit`; `memory`: the position
+    before, E [J], the force commanded there [N]; `numbers`: level [J], refill a [N/(m J)].
+    """
+    before, energy, held = memory
+    level, refill = numbers
+    moved = x - before
+    energy -= held * moved
+    if energy < level:
+        force -= refill * (level - energy) * moved
+    force = clamp(force, limit)
+    left = energy
+    if left < 0.0:
+        left = 0.0
+    if force * moved > left:
+        force = left / moved
+    return force, (x, energy, force)
+
+
 def foaw_part(bound_m: float, rate_hz: float) -> LawPart:
     """Return FOAW for noise of at most that magnitude, an encoder's count."""
     return LawPart("foaw", (bound_m, rate_hz), PERIODS)
@@ -145,9 +189,11 @@ def levant_part(acceleration_m_per_s2: float, rate_hz: float) -> LawPart:
     return LawPart("levant", (gain, 1.1 * acceleration_m_per_s2, 1.0 / rate_hz), 1, (0.0,))
 
 
-def observer_part() -> LawPart:
-    """Return PO/PC for an environment that has absorbed no energy."""
-    return LawPart("observer", (), 1, (0.0,))
+def observer_part(window: float = inf) -> LawPart:
+    """Return PO/PC for an environment that has absorbed no energy, with windows of so many
+    ticks.
+    """
+    return LawPart("observer", (window,), 1, (0.0, 0.0))
 
 
 def held_observer_part() -> LawPart:
@@ -155,5 +201,14 @@ def held_observer_part() -> LawPart:
     return LawPart("held_observer", (), 1, (0.0, 0.0))
 
 
+def tank_part(level_j: float, damping_ns_per_m: float, rate_hz: float) -> LawPart:
+    """Return an empty tank of that level, whose damper has that damping while it is empty."""
+    return LawPart("tank", (level_j, damping_ns_per_m * rate_hz / level_j), 1, (0.0, 0.0))
+
+
 ESTIMATORS: Final = {"foaw": foaw, "levant": levant}
-CONTROLLERS: Final = {"observer": observer, "held_observer": held_observer}
+CONTROLLERS: Final = {
+    "observer": observer,
+    "held_observer": held_observer,
+    "tank": tank,
+}

@@ -16,34 +16,41 @@ GIVEN_J, or the motion diverges. Hands in which that happens first are varied, t
 This is a necessary condition of passivity, in these hands and for this push; the theorem
 (`model.theorem`) is a sufficient one without dry friction.
 
+Draws (`draws`). The result depends on the hands. At the best B of a row, a pool of POOL times as
+many other hands is tried. From it, 32 draws take as many hands as the search began with, each draw
+the same ones for all laws. Their largest K, without variation, show the scatter between draws.
+
 The port is recorded at 4 kHz, as means of force and velocity: energy above about 500 Hz is booked
 too small. Limitations: hands of more than two masses, other pushes, and growth so
 slow that it does not show within SECONDS.
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import inf, isfinite, nan, sqrt
 from typing import Any
 
 import numpy as np
 
 from hapticd import __version__
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.coupled import Hand, at_port
 from hapticd.model.scene import Scene
 from hapticd.render.parts import (
+    WINDOW,
     LawPart,
     foaw_part,
     held_observer_part,
     levant_part,
     observer_part,
+    tank_part,
 )
+from hapticd.studies.felt import SINE, felt, noise_at_rest
 from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import NOISE, SUBSTEPS, display, free_of_walls, level, noise
-from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent
+from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent, to_json
 
 __all__ = ["GIVEN_J", "SECONDS", "EnergyRow", "run_port_energy"]
 
@@ -65,9 +72,18 @@ STIFFNESS = np.geomspace(0.25, 32.0, 12)  # over the first row's by the theorem
 VIRTUAL_DAMPING = np.array([0.0, *np.geomspace(0.5, 128.0, 9)])  # over the first row's
 LEAST_DAMPING = 0.05  # of K T, where the first row's best B is less
 FINER = np.geomspace(0.5, 1.1, 32)  # over the K to be improved
+DRAWS = 32
+POOL = 4  # hands of the pool over those of a draw
+AROUND = np.geomspace(0.2, 3.0, 32)  # over the K of the search, of the pool
 ACCELERATIONS = np.array([1.0, 0.25, 4.0])  # C of Levant over that of the push
+LEVELS = np.array([1.0, 0.1, 10.0])  # of a tank over the energy of the push in the first row's K
 FOAW = "FOAW"
-OBSERVERS = {"PO/PC": observer_part(), "PO/PC, held force": held_observer_part()}
+OBSERVERS = {
+    "PO/PC": observer_part(),
+    "PO/PC, held force": held_observer_part(),
+    "PO/PC, window": observer_part(WINDOW),
+}
+TANK = {"tank": LEVELS[:1], "tank, best level": LEVELS}
 LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
 AS_IT_IS = REMEDIES[0].name
 # each judged remedy, and the remedy of the table by theory that it extends
@@ -76,24 +92,27 @@ BASES = {
     "best corner": "best corner",
     "1.74 N s/m": "1.74 N s/m",
     FOAW: AS_IT_IS,
-    **dict.fromkeys((*LEVANT, *OBSERVERS), AS_IT_IS),
+    **dict.fromkeys((*LEVANT, *OBSERVERS, *TANK), AS_IT_IS),
 }
 ASKED = 2.0  # of `EnergyRow.given_out_j`, over the first row's K
 Parts = tuple[LawPart, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class EnergyRow:
     """A device with a remedy. nan: there is no such number."""
 
     device: str  # name of the scene
     remedy: str
-    number: float  # count [m] of FOAW, C [m/s^2] of Levant; nan
+    number: float  # count [m] of FOAW, C [m/s^2] of Levant, level [J] of a tank; nan
     virtual_damping_ns_per_m: float  # of those tried, the B that lets K go farthest
-    stiffness_n_per_m: float  # largest K in every hand, of those tried; nan: none
+    stiffness_n_per_m: float  # largest K in every hand, of search and draws; nan: none
     asked_n_per_m: float  # K of what follows, at the same B
     diverged: bool  # there, in some hand
     given_out_j: float  # there, in the worst hand, within SECONDS
+    draws_n_per_m: Floats  # (DRAWS,) largest K in the hands of each draw, at the same B
+    rendered: Complexes  # (3,) at RENDERED_HZ, Z over what the first row is asked for
+    noise_n: float  # rms at rest, of the same environment
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,9 +182,14 @@ def first_failures(scene: Scene, parts: Parts, hands: Floats, k: Floats, b: Floa
     return np.where(fails.any(axis=-1), k[np.argmax(fails, axis=-1)], inf)
 
 
+def drawn(seed: int, count: int) -> Floats:
+    """Return so many hands (count, 6) of the family."""
+    return np.random.default_rng(seed).uniform(LEAST, MOST, (count, LEAST.size))
+
+
 def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
     """Try the coarse grid over the first row's K and B, in the hands that all laws share."""
-    hands = np.random.default_rng(1).uniform(LEAST, MOST, (HANDS[quick], LEAST.size))
+    hands = drawn(1, HANDS[quick])
     least = LEAST_DAMPING * first.stiffness_n_per_m / first.rate_hz
     b = VIRTUAL_DAMPING * max(first.virtual_damping_ns_per_m, least)
     k = STIFFNESS * first.stiffness_n_per_m
@@ -195,10 +219,27 @@ def worsened(one: Tried, quick: bool) -> Tried:
     return one
 
 
+def draws(one: Tried, quick: bool) -> tuple[Floats, float]:
+    """Return the largest K [N/m] of those tried in the hands of each draw (DRAWS,), and the first
+    to fail in any hand of the pool on a finer grid; at the best B. 0: all of them fail.
+    """
+    hands = drawn(3, POOL * HANDS[quick])
+    b = one.virtual_damping_ns_per_m[[one.best]]
+    k = AROUND * one.limit_n_per_m
+    failed = first_failures(one.scene, one.parts, hands, k, b)[:, 0]
+    random = np.random.default_rng(4)
+    taken = [random.choice(failed, HANDS[quick], replace=False).min() for _ in range(DRAWS)]
+    before = np.concatenate(([0.0], k))[np.searchsorted(k, taken)]
+    finer = FINER * min(failed.min(), one.limit_n_per_m)
+    worst = hands[np.argsort(failed, kind="stable")[:PARENTS]]
+    first = first_failures(one.scene, one.parts, worst, finer, b).min()
+    return before, 0.0 if first == finer[0] else float(first)
+
+
 # --- a table --------------------------------------------------------------------------------------
 
 
-def laws(name: str, scene: Scene) -> list[tuple[float, Parts]]:
+def laws(name: str, scene: Scene, first: Row) -> list[tuple[float, Parts]]:
     """Return the parts that a remedy may add to the law, each with its number; the best counts."""
     model = display(scene).model
     if name == FOAW:
@@ -207,6 +248,11 @@ def laws(name: str, scene: Scene) -> list[tuple[float, Parts]]:
     if name in LEVANT:
         pushed = LEVANT[name] * pushed_n(scene) / model.mass_kg
         return [(float(c), (levant_part(float(c), model.rate_hz),)) for c in pushed]
+    if name in TANK:
+        k = first.stiffness_n_per_m
+        levels = TANK[name] * pushed_n(scene) ** 2 / (2.0 * k)
+        refill = 0.5 * k / model.rate_hz  # damping that pays for K without delay
+        return [(float(one), (tank_part(float(one), refill, model.rate_hz),)) for one in levels]
     return [(nan, (OBSERVERS[name],) if name in OBSERVERS else ())]
 
 
@@ -214,11 +260,13 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
     """Return the row of a remedy whose scene is `scene`."""
     found = [
         (number, worsened(tried(scene, parts, first, quick), quick))
-        for number, parts in laws(name, scene)
+        for number, parts in laws(name, scene, first)
     ]
     number, best = max(found, key=lambda one: one[1].limit_n_per_m)
     b = float(best.virtual_damping_ns_per_m[best.best])
-    limit = best.limit_n_per_m * float(FINER[0] / FINER[1])  # the one before the first to fail
+    by_draws, fails = draws(best, quick)
+    # the one before the first to fail
+    limit = min(best.limit_n_per_m, fails) * float(FINER[0] / FINER[1])
     asked = ASKED * first.stiffness_n_per_m
     given = float(given_out(scene, best.parts, best.hands, np.array([[asked, b]])).max())
     return EnergyRow(
@@ -230,6 +278,9 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
         asked_n_per_m=asked,
         diverged=given == inf,
         given_out_j=nan if given == inf else given,
+        draws_n_per_m=by_draws,
+        rendered=felt(scene, best.parts, first.asked, SINE * pushed_n(scene)),
+        noise_n=noise_at_rest(scene, best.parts, first.asked),
     )
 
 
@@ -253,12 +304,17 @@ def run_port_energy(
         remedy = next(one for one in params.remedies if one.name == base.remedy)
         own = treated(scene, remedy, base.corner_hz)
         best = first.stiffness_n_per_m, first.virtual_damping_ns_per_m
-        key = fingerprint((__version__, "port energy", name, own, best, params.quick))
+        key = fingerprint((__version__, "energy at the port", name, own, best, params.quick))
         if key not in store.known:
-            store.add([(key, asdict(judged(name, own, first, params.quick)))])
-        row: dict[str, Any] = {
-            one: nan if value is None else value for one, value in store.known[key].items()
-        }
-        found.append(EnergyRow(**row))
+            store.add([(key, to_json(judged(name, own, first, params.quick)))])
+        found.append(_row(store.known[key]))
     steps.end()
     return tuple(found)
+
+
+def _row(kept: Mapping[str, Any]) -> EnergyRow:
+    """Return a row of the store, where null is nan and a complex number a pair."""
+    row: dict[str, Any] = {name: nan if value is None else value for name, value in kept.items()}
+    row["draws_n_per_m"] = np.array(kept["draws_n_per_m"])
+    row["rendered"] = np.array(kept["rendered"], np.float64) @ [1.0, 1j]
+    return EnergyRow(**row)

@@ -1,32 +1,39 @@
-"""Remedies on one bench: which one lets a display render more, for which device, at what price.
+"""Linear remedies on one bench: how much more a display renders, for each device, and the price.
 
 A remedy (`Remedy`) changes a scene: the rate of its servo, the delay of its force, its active
-damping, the corner of its velocity filter. All are linear and time-invariant, so the theorem
-(`model.theorem`, `guard.bases`) judges the sampled loop with them exactly: stable, and passive for
-every input and every passive hand, without counting on dry friction. What follows from it has no
-interval:
+damping, the corner of its velocity filter, or the coupling between device and environment. All are
+linear and time-invariant, so the theorem (`model.theorem`, `guard.bases`) judges the sampled loop
+exactly. The loop is stable, and passive for every input and every passive hand, without dry
+friction. These numbers of a row therefore have no interval:
 
-    stiffness   the first failure of K from 0 on, at B = 0, and at the B >= 0 that lets it go
-                farthest; M = 0
-    volume      of the passive K >= 0, B >= 0 and M, by a grid that reaches beyond it
-    rendered    Z at the probe over the asked K / s + B: what a hand feels of the device itself, of
-                its active damping and of sampling. The same environment for all remedies of a
-                device: half of the stiffness that it renders without one, at that B
-    noise       rms force that the law makes of white position noise, that of the encoder's rounding
-                (quantum / sqrt(12)), with the loop open: the handle rests. N
+    stiffness   the first K to fail from 0 on, at B = 0, and at the B >= 0 with the largest such K;
+                M = 0
+    volume      of the passive K >= 0, B >= 0 and M, by a grid that contains all of them
+    rendered    Z at the probe over the asked K / s + B. The ratio contains the device itself, its
+                active damping and the effect of sampling. All remedies of a device render the same
+                environment: half of the stiffness of its first row, at the best B of that row
+    noise       rms force [N] of the law under white position noise as large as the encoder's
+                rounding (quantum / sqrt(12)). The loop is open: the handle rests
 
-A rate changes nothing but the rate: the delay stays what it is in seconds, filters in Hz. The best
-corner is the one of `CORNERS` with the largest stiffness at its best B.
+A faster loop keeps its delay in seconds and its filters in hertz. The best corner is the one of
+`CORNERS` with the largest stiffness at its best B.
 
-Trials (`zwidth.limits`) then search K at that same B, with friction and counts and at the scene's
-perturbation. They have a scatter between seeds of the noise and an interval.
+Virtual coupling (Colgate, Stanley and Brown 1995; Adams and Hannaford 1999). A spring K_c and a
+damper B_c connect the device to a virtual object. Stiffness and best B of this row are those of the
+largest coupling: passive with a rigid object, which is felt as K_c and B_c, and with any of the
+springs in SPRINGS behind it. The felt law is C_c C_e / (C_c + C_e) with C = K + B H_v (z), for
+environments that are stiffer than the coupling too. `rendered` has the asked environment behind it.
+
+Trials (`zwidth.limits`) search K at the same B, with friction, counts and the perturbation of the
+scene. Their results differ between seeds of the noise, and have an interval.
 
 The second-order Butterworth low-pass of a difference is, in continuous time, the steady Kalman
-estimator of a velocity that white acceleration moves, and its corner (2 pi f)^4 = q / r the only
-number of it: the search for a corner is the search for that estimator too.
+estimator of a velocity under white acceleration. Its only number is the corner, (2 pi f)^4 = q / r
+with the densities q of the acceleration and r of the noise. The search for a corner covers it.
 
-Limitations: a set that K leaves and enters again; the first exit counts. A scene without the delay,
-the circuit or the encoder that a remedy changes is left as it is there.
+Limitations: a set that K leaves and enters again (the first exit counts); objects behind a coupling
+that are no springs. A remedy has no effect on a scene without the delay, circuit or encoder that it
+changes.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,9 +46,9 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.model.effects import Delay
-from hapticd.model.loop import derivatives
-from hapticd.model.predict import predicted_impedance
+from hapticd.model.loop import close_loop, derivatives
 from hapticd.model.scene import DampingStep, Scene
+from hapticd.model.theorem import circles, lifted_system
 from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, volume
 from hapticd.zwidth import limits, outcomes
 from hapticd.zwidth.sources import display, level, noise
@@ -69,6 +76,7 @@ VALUES = 7
 BEYOND = 1.1  # of the ends of a grid over what is known of the set
 WIDER = 1.5  # factor of an end beyond which the set goes on
 WIDENINGS = 12  # at most
+SPRINGS = np.geomspace(0.01, 100.0, 9)  # behind a coupling, over its own stiffness
 TOLERANCE = 0.05  # of a limit by trials: between seeds it scatters as much
 ANGLES = np.pi * (np.arange(1024) + 0.5) / 1024.0  # of the unit circle, for the mean of a spectrum
 Passive = Callable[[Floats], Flags]
@@ -83,6 +91,7 @@ class Remedy:
     delay_share: float = 1.0  # of the scene's delay in seconds that is left
     active_damping_ns_per_m: float = 0.0
     best_corner: bool = False  # of the velocity filter, for each device
+    coupling: bool = False  # a spring and a damper between device and environment
 
 
 REMEDIES = (
@@ -99,6 +108,7 @@ REMEDIES = (
     Remedy("4 x rate, 1.74 N s/m", 4.0, active_damping_ns_per_m=1.74),
     Remedy("best corner, 1.74 N s/m", active_damping_ns_per_m=1.74, best_corner=True),
     Remedy("best corner, 4 x rate", 4.0, best_corner=True),
+    Remedy("virtual coupling", coupling=True),
 )
 
 
@@ -125,7 +135,7 @@ class Row:
     stiffness_alone_n_per_m: float  # largest K at B = 0
     virtual_damping_ns_per_m: float  # B that lets K go farthest
     stiffness_n_per_m: float  # largest K at that B
-    volume: float  # N/m N s/m kg
+    volume: float  # N/m N s/m kg; nan for a coupling
     asked: tuple[float, float]  # K [N/m], B [N s/m] of `rendered` and `noise_n`
     rendered: Complexes  # (3,) at RENDERED_HZ, Z over what is asked
     noise_n: float  # rms
@@ -157,6 +167,32 @@ def passive_by_theorem(scene: Scene) -> Passive:
     shown = display(scene)
     at = Conditions(level(scene), shown.filters, shown.model.delay_periods, 0.0)
     return partial(Theorem(shown.model).safe, at=at)
+
+
+def couplings(scene: Scene) -> Passive:
+    """Whether couplings K, B, 0 (N, 3) are passive on the scene's device with a rigid object and
+    with springs behind them. Between a fixed device and a spring, too, a coupling must be stable:
+    its C plus the spring does not go around 0.
+    """
+    shown = display(scene)
+    rigid = passive_by_theorem(scene)
+    lifted = lifted_system(shown.model, level(scene), shown.filters)
+    unit = np.ones_like(lifted.law[0])  # the condition for any C: |1 + C g|^2 >= R^2 |C|^2
+    form = circles(replace(lifted, law=np.stack((unit, 1j * unit, 0.0 * unit)))).form
+    centre, excess = 0.5 * (form[1] - 1j * form[2]), form[4]
+
+    def passive(points: Floats) -> Flags:
+        found = rigid(points)
+        own = points @ lifted.law
+        for share in SPRINGS:
+            behind = share * np.maximum(points[:, :1], 1.0)
+            phase = np.unwrap(np.angle(behind + own))
+            c = behind * own / (behind + own)
+            outside = 1.0 + 2.0 * (c * centre).real + np.abs(c) ** 2 * excess
+            found &= (outside >= 0.0).all(axis=1) & (np.abs(phase[:, -1]) < 1.0)
+        return found
+
+    return passive
 
 
 def largest_stiffness(passive: Passive, virtual_damping_ns_per_m: float) -> float:
@@ -218,27 +254,44 @@ def set_volume(passive: Passive, best: tuple[float, float], counts: Sequence[int
     return volume(found)
 
 
-def rendered(scene: Scene, asked: tuple[float, float]) -> Complexes:
+Law = Callable[[Complexes], Complexes]  # H_v at some z: force over position
+
+
+def felt_law(asked: tuple[float, float], coupling: tuple[float, float] | None) -> Law:
+    """Return the law of the asked K [N/m] and B [N s/m], behind a coupling if there is one."""
+
+    def law(slope: Complexes) -> Complexes:
+        c = asked[0] + asked[1] * slope
+        if coupling is None:
+            return c
+        between = coupling[0] + coupling[1] * slope
+        return np.asarray(c * between / (c + between)) if isfinite(coupling[0]) else nan * slope
+
+    return law
+
+
+def rendered(scene: Scene, asked: tuple[float, float], law: Law) -> Complexes:
     """Z over the asked K / s + B at RENDERED_HZ (3,), no dry friction; nan if nothing is asked."""
     shown = display(scene)
     k, b = asked
     if not isfinite(k):
         return np.full(len(RENDERED_HZ), nan, np.complex128)
     f = np.array(RENDERED_HZ)
-    z = predicted_impedance(
-        shown.model, (k, b, 0.0), f, level(scene), shown.filters, recorded=False
-    )
+    turn = np.exp(2j * np.pi * f / shown.model.rate_hz)
+    c = law(derivatives(turn, shown.model.rate_hz, shown.filters)[0])
+    loop = close_loop(shown.model, f, level(scene), shown.filters)
+    admittance = loop.admittance[0, 0]
+    z = (1.0 + c * loop.common[1]) / (admittance[0] + c * admittance[1])
     return np.asarray(z / (k / (2j * np.pi * f) + b))
 
 
-def noise_at_rest(scene: Scene, asked: tuple[float, float]) -> float:
+def noise_at_rest(scene: Scene, law: Law) -> float:
     """Rms force [N] of the law under white position noise as large as the encoder's rounding."""
     model = display(scene).model
     if model.encoder_quantum_m is None:
         return nan
-    k, b = asked
     slope, _ = derivatives(np.exp(1j * ANGLES), model.rate_hz, display(scene).filters)
-    gain = sqrt(float(np.mean(np.abs(k + b * slope) ** 2)))
+    gain = sqrt(float(np.mean(np.abs(law(slope)) ** 2)))
     return gain * model.encoder_quantum_m / sqrt(12.0)
 
 
@@ -249,9 +302,10 @@ def judged(
     own = (
         best_corner(scene, remedy, CORNERS[quick]) if remedy.best_corner else treated(scene, remedy)
     )
-    passive = passive_by_theorem(own)
+    passive = couplings(own) if remedy.coupling else passive_by_theorem(own)
     best = stiffest(passive)
     asked = asked or (0.5 * best[1], best[0])
+    law = felt_law(asked, (best[1], best[0]) if remedy.coupling else None)
     return own, Row(
         device=scene.name,
         remedy=remedy.name,
@@ -261,10 +315,10 @@ def judged(
         stiffness_alone_n_per_m=largest_stiffness(passive, 0.0),
         virtual_damping_ns_per_m=best[0],
         stiffness_n_per_m=best[1],
-        volume=set_volume(passive, best, GRID[quick]),
+        volume=nan if remedy.coupling else set_volume(passive, best, GRID[quick]),
         asked=asked,
-        rendered=rendered(own, asked),
-        noise_n=noise_at_rest(own, asked),
+        rendered=rendered(own, asked, law),
+        noise_n=noise_at_rest(own, law),
     )
 
 
@@ -285,9 +339,14 @@ def run_remedies(
     steps.end()
     if params.quick or not params.seeds:
         return tuple(row for _, row in found)
-    plans = [limits.plan_limits(_searched(params, *one)) for one in found]
-    pairs = zip(found, limits.run_plans(plans, store, tell), strict=True)
-    return tuple(replace(row, trials=result.limits[0]) for (_, row), result in pairs)
+    coupled = {one.name for one in params.remedies if one.coupling}  # no sum of K, B and M
+    tried = [one for one in found if one[1].remedy not in coupled]
+    plans = [limits.plan_limits(_searched(params, *one)) for one in tried]
+    results = iter(limits.run_plans(plans, store, tell))
+    return tuple(
+        row if row.remedy in coupled else replace(row, trials=next(results).limits[0])
+        for _, row in found
+    )
 
 
 def _searched(params: RemediesParams, scene: Scene, row: Row) -> limits.LimitsParams:

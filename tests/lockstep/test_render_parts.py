@@ -1,5 +1,5 @@
-"""Estimators of the velocity and PO/PC: what their authors say of them, exact energies, and the
-same bits in a kernel.
+"""Estimators of the velocity, PO/PC and the tank: what their authors say of them, exact energies,
+and the same bits in a kernel.
 """
 
 from fractions import Fraction
@@ -16,11 +16,13 @@ from hapticd.render.parts import (
     CONTROLLERS,
     ESTIMATORS,
     PERIODS,
+    WINDOW,
     LawPart,
     foaw_part,
     held_observer_part,
     levant_part,
     observer_part,
+    tank_part,
 )
 from hapticd.zwidth.engine.batch import simulate
 
@@ -194,13 +196,64 @@ def test_observer_sees_the_leak_of_a_held_spring_only_by_the_held_force():
     assert abs(held - springs).max() > 1e-4
 
 
+def damped_then_driven(place):
+    """A damper in the first half, then an environment that pushes along."""
+    return generator(place) * (1.0 if place >= 1000 else -1.0)
+
+
+def test_a_window_forgets_what_was_taken_up_before_it():
+    moved = np.diff(SINE_M, prepend=0.0)
+    later = slice(1000 + int(WINDOW), None)
+    given = {}
+    for window in (np.inf, WINDOW):
+        forces, _ = controlled(observer_part(window), SINE_M, damped_then_driven)
+        given[window] = float((forces * moved)[later].sum())
+    assert given[np.inf] > 1e-5
+    assert given[WINDOW] < 1e-15
+
+
+# --- tank -----------------------------------------------------------------------------------------
+
+
+def test_tank_books_the_held_force_and_is_never_deep_in_debt():
+    forces, energies = controlled(tank_part(1e-5, 0.1, RATE_HZ), SINE_M, generator)
+    taken = -np.cumsum(forces[:-1] * np.diff(SINE_M))
+    assert energies[1:] == pytest.approx(taken, abs=1e-15)
+    given = np.cumsum([generator(n) for n in range(2000)] * np.diff(SINE_M, prepend=0.0))
+    assert energies.min() > -0.01 * given[-1]
+
+
+def test_an_empty_tank_lets_no_force_through_that_would_give_energy():
+    forces, _ = controlled(tank_part(1e-9, 0.0, RATE_HZ), SINE_M, generator)
+    moved = np.diff(SINE_M, prepend=0.0)
+    assert (forces * moved).max() < 1e-15
+
+
+def test_tank_lets_a_spring_give_back_what_it_has_taken():
+    there_and_back = 0.5e-3 * (1.0 - np.cos(2.0 * np.pi * 0.5 * TIME_S))
+    springs = -100.0 * there_and_back
+    forces, _ = controlled(tank_part(1e-12, 0.0, RATE_HZ), there_and_back, lambda n: springs[n])
+    full = there_and_back > 0.05e-3
+    assert forces[full] == pytest.approx(springs[full])
+
+
+def test_tank_is_filled_to_its_level_by_a_damper_that_fades():
+    level_j = 1e-6
+    forces, energies = controlled(tank_part(level_j, 0.2, RATE_HZ), SINE_M, lambda n: 0.0)
+    velocity = np.diff(SINE_M, prepend=0.0) * RATE_HZ
+    assert forces[1] == pytest.approx(-0.2 * velocity[1])
+    assert energies[-1] == pytest.approx(level_j, rel=1e-3)
+    assert abs(forces[-300:]).max() < 0.01 * abs(forces).max()
+
+
 # --- in a kernel ----------------------------------------------------------------------------------
 
 PARTS = [
     foaw_part(0.5e-6, RATE_HZ),
     levant_part(50.0, RATE_HZ),
-    observer_part(),
+    observer_part(WINDOW),
     held_observer_part(),
+    tank_part(1e-5, 0.1, RATE_HZ),
 ]
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
 

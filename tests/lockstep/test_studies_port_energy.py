@@ -3,7 +3,7 @@ what the measure finds agrees with the theorem where there is one.
 """
 
 from dataclasses import replace
-from math import isnan
+from math import inf, isnan
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from hapticd.studies.port_energy import (
     GIVEN_J,
     LEAST,
     MOST,
+    Tried,
     first_failures,
     given_out,
     hand_of,
@@ -109,6 +110,34 @@ def test_runaway_is_reported_as_such():
     assert np.isinf(wild).all()
 
 
+def pool(monkeypatch, failures, limit=1000.0):
+    """Draws from hands that fail at those K [N/m] over the K of the search."""
+    fails = iter([limit * np.array(failures)[:, None], np.array([[0.9 * limit]])])
+    monkeypatch.setattr(port_energy, "first_failures", lambda *given: next(fails))
+    one = Tried(bench(), (), np.zeros(1), HANDS[:1], np.array([[limit]]), inf)
+    return port_energy.draws(one, True)
+
+
+def test_each_draw_ends_before_the_first_failure_in_its_own_hands(monkeypatch):
+    """A quarter of the pool is in a draw: the worst of its 24 hands in about a quarter of them."""
+    k = port_energy.AROUND
+    found, first = pool(monkeypatch, [k[9], *[k[25]] * 23])
+    assert set(found) == {1000.0 * k[8], 1000.0 * k[24]}
+    assert 3 <= (found < 1000.0).sum() <= 13
+    assert found.shape == (32,)
+    assert first == 900.0
+
+
+def test_draws_without_a_failure_reach_the_largest_stiffness_tried(monkeypatch):
+    found, _ = pool(monkeypatch, [inf] * 24)
+    assert found == pytest.approx(3000.0)
+
+
+def test_draws_in_which_every_stiffness_fails_allow_none(monkeypatch):
+    found, _ = pool(monkeypatch, [port_energy.AROUND[0]] * 24)
+    assert (found == 0.0).all()
+
+
 @pytest.fixture
 def small(monkeypatch):
     """A study of two remedies and FOAW that takes seconds."""
@@ -129,8 +158,12 @@ def test_rows_are_kept_and_agree_with_the_theorem(small, tmp_path, monkeypatch):
     assert [row.remedy for row in found] == names
     for row, theory in zip(found, rows, strict=False):
         assert row.stiffness_n_per_m > 0.95 * theory.stiffness_n_per_m
+        assert row.draws_n_per_m.min() > 0.9 * row.stiffness_n_per_m
         assert row.asked_n_per_m == 2.0 * rows[0].stiffness_n_per_m
         assert isnan(row.given_out_j) == row.diverged
+        assert row.draws_n_per_m.shape == (port_energy.DRAWS,)
+    for row, theory in zip(found[:2], rows, strict=True):  # linear: felt as the theory says
+        assert row.rendered == pytest.approx(theory.rendered, rel=0.01)
     monkeypatch.setattr(port_energy, "judged", None)  # every row is in the store
     again = run_port_energy(small, rows, TrialStore(tmp_path / "kept.jsonl"))
     assert to_json(again) == to_json(found)

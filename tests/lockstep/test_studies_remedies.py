@@ -33,6 +33,7 @@ from hapticd.zwidth.store import TrialStore
 PHYSICAL_NS_PER_M = 1.0  # of the scene `theory`
 MASS_KG = 0.008
 AS_IT_IS = REMEDIES[0]
+COUPLING = Remedy("coupling", coupling=True)
 
 
 def rigid(delay_periods: float = 0.0) -> Scene:
@@ -106,10 +107,49 @@ def test_environment_asked_of_all_remedies_is_half_of_what_the_first_row_renders
 
 def test_noise_at_rest_of_a_spring_is_that_of_a_rounded_position() -> None:
     scene = replace(rigid(), effects=(*rigid().effects, Encoder(quantum_m=1e-6)))
-    assert remedies.noise_at_rest(scene, (500.0, 0.0)) == pytest.approx(500e-6 / sqrt(12.0))
+    spring, damper = (remedies.felt_law(asked, None) for asked in ((500.0, 0.0), (0.0, 1.0)))
+    assert remedies.noise_at_rest(scene, spring) == pytest.approx(500e-6 / sqrt(12.0))
     corners = [treated(scene, AS_IT_IS, hz) for hz in (50.0, 100.0, 400.0)]
-    noises = [remedies.noise_at_rest(one, (0.0, 1.0)) for one in corners]
+    noises = [remedies.noise_at_rest(one, damper) for one in corners]
     assert noises[0] < 0.5 * noises[1] < 0.25 * noises[2]
+
+
+def test_largest_coupling_is_the_stiffness_that_a_wall_may_have() -> None:
+    first, coupled = rows(rigid(0.6875), AS_IT_IS, COUPLING)
+    assert coupled.stiffness_n_per_m == first.stiffness_n_per_m
+    assert coupled.virtual_damping_ns_per_m == first.virtual_damping_ns_per_m
+    assert np.isnan(coupled.volume)
+
+
+def test_a_spring_behind_a_coupling_may_need_more_than_a_wall() -> None:
+    """With more virtual than physical damping. The share s of the motion in the coupling makes K s
+    of it and B s^2: b + B s^2 >= K s T at every s needs K T <= 2 sqrt(b B), less than b + B.
+    """
+    scene = treated(load_scene("fig4"), AS_IT_IS, 450.0)
+    physical, virtual = 0.365, 1.0
+    wall = remedies.largest_stiffness(remedies.passive_by_theorem(scene), virtual)
+    coupling = remedies.largest_stiffness(remedies.couplings(scene), virtual)
+    ratio = 2.0 * sqrt(physical * virtual) / (physical + virtual)
+    assert coupling / wall == pytest.approx(ratio, rel=0.03)
+    assert ratio < 0.9
+
+
+def test_felt_through_a_coupling_is_both_in_series_and_the_device() -> None:
+    first, coupled = rows(rigid(), AS_IT_IS, COUPLING)
+    k, b = coupled.asked
+    s = 2j * pi * RENDERED_HZ[0]
+    asked = k / s + b
+    between = first.stiffness_n_per_m / s + first.virtual_damping_ns_per_m
+    series = asked * between / (asked + between)
+    device = MASS_KG * s + PHYSICAL_NS_PER_M
+    assert coupled.rendered[0] == pytest.approx((series + device) / asked, rel=0.02)
+    assert abs(coupled.rendered[0]) < 0.8 * abs(first.rendered[0])
+
+
+def test_a_coupling_has_no_trials() -> None:
+    """Its law is no sum of K, B and M."""
+    (found,) = rows(rigid(), COUPLING, quick=False, seeds=1)
+    assert found.trials is None
 
 
 def test_a_device_that_is_active_by_itself_has_no_stiffness_and_no_volume() -> None:
@@ -126,9 +166,11 @@ def test_a_device_that_is_active_by_itself_has_no_stiffness_and_no_volume() -> N
 
 def test_an_environment_that_cannot_be_asked_gives_no_number() -> None:
     """The printed numbers alone dissipate nothing: only active damping makes room for any K."""
-    none, damped = rows(load_scene("literal"), AS_IT_IS, Remedy("", active_damping_ns_per_m=1.74))
-    assert np.isnan([none.stiffness_n_per_m, none.noise_n]).all()
-    assert np.isnan(none.rendered).all()
+    damped_too = Remedy("", active_damping_ns_per_m=1.74)
+    none, coupled, damped = rows(load_scene("literal"), AS_IT_IS, COUPLING, damped_too)
+    for found in (none, coupled):
+        assert np.isnan([found.stiffness_n_per_m, found.noise_n]).all()
+        assert np.isnan(found.rendered).all()
     assert damped.stiffness_n_per_m > 1000.0
 
 
