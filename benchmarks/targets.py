@@ -337,6 +337,21 @@ TABLE: dict[str, dict[str, Target]] = {
             " narrow modes come on top",
         ),
     },
+    "law_parts": {
+        "law_foaw": Target(
+            "",
+            "the law without the part, in CPython on the same positions",
+            "information: FOAW on noise, where most windows are short",
+        ),
+        "law_levant": Target("", "the same", "information: Levant's differentiator"),
+        "law_popc": Target("", "the same", "information: PO/PC"),
+        "law_popc_held": Target("", "the same", "information: PO/PC with the held force"),
+        "law_popc_window": Target("", "the same", "information: PO/PC with a window"),
+        "law_tank": Target("", "the same", "information: an energy tank"),
+        "law_foaw_at_rest": Target(
+            "", "the same, at rest", "information: 14 lines through up to 15 positions"
+        ),
+    },
     "map_6384": {
         "map_6384_c": Target(
             "<= 1.3x",

@@ -8,7 +8,8 @@ column of the linear remedies. On a linear law both agree.
 
 Noise at rest (`noise_at_rest`). The law plays in CPython (`played`), with the loop open: the handle
 rests, and the positions are white, evenly distributed over a count of the encoder. Their rms is
-that of rounding, quantum / sqrt(12), as in the column of the linear remedies.
+that of rounding, quantum / sqrt(12), as in the column of the linear remedies. All of the first
+TICKS count: some laws give one large force and are quiet afterwards.
 
 Limitations: other forces, at which a nonlinear law has another impedance; Z at harmonics of the
 sine.
@@ -32,7 +33,7 @@ __all__ = ["SINE", "felt", "noise_at_rest", "played"]
 
 SINE = 0.1  # amplitude of the probe's force over the push
 SETTLED_S = 4.0  # length of a trial; its last second counts
-TICKS = 4000  # of the noise at rest, the first half of which does not count
+TICKS = 4000  # of the noise at rest
 NO_WALL = (0.0, 0.0, 0.0, 0.0, -inf, inf, 0.0)
 
 
@@ -101,5 +102,4 @@ def noise_at_rest(scene: Scene, parts: tuple[LawPart, ...], asked: tuple[float, 
     if quantum_m is None:
         return nan
     positions = quantum_m * (np.random.default_rng(1).random(TICKS) - 0.5)
-    forces = played(scene, parts, asked, positions)[TICKS // 2 :]
-    return float(np.sqrt(np.mean(forces**2)))
+    return float(np.sqrt(np.mean(played(scene, parts, asked, positions) ** 2)))

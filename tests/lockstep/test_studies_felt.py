@@ -62,7 +62,7 @@ def test_noise_of_a_linear_law_is_that_of_the_theory():
 
 
 def test_noise_of_an_observer_of_the_held_force_is_many_times_that_of_the_law():
-    """Of a spring, which leaks in every step: it divides a debt by a displacement of a count."""
+    """Of a spring, which leaks in every step: a debt is divided by part of a count."""
     spring = (ASKED[0], 0.0)
     quiet, loud = (noise_at_rest(bench(), parts, spring) for parts in ((), (held_observer_part(),)))
     assert loud > 10.0 * quiet
