@@ -3,7 +3,8 @@ build/remedies`, with one folder or several for different devices.
 
 The rows are kept in docs/figures/remedies.json. The tables of the page and the figure
 docs/figures/remedies.svg are made from them. The text is written by hand. Without a folder the kept
-rows fill the page again. A run without trials (`--seeds 0`) keeps the trials of the rows that have the same K and B.
+rows fill the page again. A run without trials (`--seeds 0`) keeps the trials of rows with the same
+K and B.
 """
 
 import json
@@ -175,7 +176,8 @@ def points(axis: Axes, found: dict[str, Rows], judged: str) -> None:
         else:
             k = np.array([row["stiffness_n_per_m"] or nan for row in rows])
             middle = k[1:] / k[0]
-        axis.plot(middle, lines, linestyle="", **LOOKS[place], label=device)
+        shown = np.maximum(middle, SHOWN[0])  # nan stays nan
+        axis.plot(shown, lines, linestyle="", **LOOKS[place], label=device, clip_on=False)
     axis.axvline(1.0, color=GREY, linewidth=0.8)
     axis.set(xscale="log", xlim=SHOWN, xlabel="K over that of the first row")
     axis.set(ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names)
@@ -192,7 +194,7 @@ def draw(rows: Rows, energies: Rows) -> None:
             axis, {one: [row for row in part if row["device"] == one] for one in devices}, judged
         )
     panels[0].set(title="by the theorem")
-    panels[1].set(title="by energy, 32 draws of hands")
+    panels[1].set(title="by energy in hands")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names))
     figure.savefig(FIGURE, metadata={"Date": None})

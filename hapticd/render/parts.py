@@ -135,8 +135,7 @@ def observer(
     (window,) = numbers
     if ticks >= window:
         ticks = 0.0
-        if energy > 0.0:
-            energy = 0.0
+        energy = min(energy, 0.0)
     moved = x - before
     after = energy - force * moved
     if after < 0.0 and moved != 0.0:
@@ -170,9 +169,7 @@ def tank(
     if energy < level:
         force -= refill * (level - energy) * moved
     force = clamp(force, limit)
-    left = energy
-    if left < 0.0:
-        left = 0.0
+    left = max(energy, 0.0)
     if force * moved > left:
         force = left / moved
     return force, (x, energy, force)

@@ -60,7 +60,7 @@ def felt(
         )
         force, velocity = (one[-second.size :] for one in trial.record(0))
         turn = np.exp(-2j * pi * hz * second)
-        z = nan if trial.diverged[0] else complex(force @ turn) / complex(velocity @ turn)
+        z = nan if trial.diverged[0] else (force @ turn) / (velocity @ turn)
         found.append(z / (asked[0] / (2j * pi * hz) + asked[1]))
     return np.array(found)
 
@@ -71,21 +71,18 @@ def played(
     """Return the forces [N] (N,) of the law with `parts` in CPython, tick by tick, for `asked` K
     [N/m] and B [N s/m], from rest at 0.
     """
-    model = display(scene).model
     k, b = asked
-    coefficients = design_coefficients(*scene.environment.filters, model.rate_hz)
+    coefficients = design_coefficients(*scene.environment.filters, display(scene).model.rate_hz)
     state = at_rest(0.0)
     memories: list[Any] = [part.at_rest(0.0) for part in parts]
-    damping = 0.0 if any(part.kind in ESTIMATORS for part in parts) else b
     limit = display(scene).force_limit_n
     forces = []
     for x in positions_m.tolist():
-        bias = 0.0
+        inputs = (k, b, 0.0, 0.0, limit, *NO_WALL)
         for place, part in enumerate(parts):
             if part.kind in ESTIMATORS:
                 v, memories[place] = ESTIMATORS[part.kind](x, memories[place], part.numbers)
-                bias = -b * v
-        inputs = (k, damping, 0.0, bias, limit, *NO_WALL)
+                inputs = (k, 0.0, 0.0, -b * v, limit, *NO_WALL)
         force, *_, state = render(x, state, inputs, coefficients)
         for place, part in enumerate(parts):
             if part.kind in CONTROLLERS:

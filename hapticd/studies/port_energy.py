@@ -249,9 +249,8 @@ def laws(name: str, scene: Scene, first: Row) -> list[tuple[float, Parts]]:
         pushed = LEVANT[name] * pushed_n(scene) / model.mass_kg
         return [(float(c), (levant_part(float(c), model.rate_hz),)) for c in pushed]
     if name in TANK:
-        k = first.stiffness_n_per_m
-        levels = TANK[name] * pushed_n(scene) ** 2 / (2.0 * k)
-        refill = 0.5 * k / model.rate_hz  # damping that pays for K without delay
+        levels = TANK[name] * pushed_n(scene) ** 2 / (2.0 * first.stiffness_n_per_m)
+        refill = 0.5 * first.stiffness_n_per_m / model.rate_hz  # pays for K without delay
         return [(float(one), (tank_part(float(one), refill, model.rate_hz),)) for one in levels]
     return [(nan, (OBSERVERS[name],) if name in OBSERVERS else ())]
 

@@ -277,11 +277,10 @@ def rendered(scene: Scene, asked: tuple[float, float], law: Law) -> Complexes:
     if not isfinite(k):
         return np.full(len(RENDERED_HZ), nan, np.complex128)
     f = np.array(RENDERED_HZ)
-    turn = np.exp(2j * np.pi * f / shown.model.rate_hz)
-    c = law(derivatives(turn, shown.model.rate_hz, shown.filters)[0])
+    rate_hz = shown.model.rate_hz
+    c = law(derivatives(np.exp(2j * np.pi * f / rate_hz), rate_hz, shown.filters)[0])
     loop = close_loop(shown.model, f, level(scene), shown.filters)
-    admittance = loop.admittance[0, 0]
-    z = (1.0 + c * loop.common[1]) / (admittance[0] + c * admittance[1])
+    z = (1.0 + c * loop.common[1]) / (loop.admittance[0, 0, 0] + c * loop.admittance[0, 0, 1])
     return np.asarray(z / (k / (2j * np.pi * f) + b))
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.arrays import Complexes
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import AtLevel, Explanation
 from hapticd.model.scene import Scene
@@ -735,24 +736,33 @@ def _remedy_cells(row: Row) -> list[Cell]:
         row.virtual_damping_ns_per_m,
         row.stiffness_n_per_m,
         row.volume,
-        ", ".join(f"{size:.3g}" for size in np.abs(row.rendered)),
-        ", ".join(f"{degrees:.0f}" for degrees in np.degrees(np.angle(row.rendered))),
+        *_felt_cells(row.rendered),
         1e3 * row.noise_n,
         *known,
     ]
 
 
+def _felt_cells(rendered: Complexes) -> tuple[str, str]:
+    return (
+        ", ".join(f"{size:.3g}" for size in np.abs(rendered)),
+        ", ".join(f"{degrees:.0f}" for degrees in np.degrees(np.angle(rendered))),
+    )
+
+
 def port_energy_table(rows: Sequence[EnergyRow]) -> Table:
     """Every device with every remedy that is judged by the energy at its port."""
     columns = [
-        "device", "remedy", "its number", "best B", "K in every hand", "K asked",
-        f"given out in {SECONDS:g} s mJ", "diverged",
+        "device", "remedy", "its number", "best B", "K in every hand", "K in a draw", "5 %", "95 %",
+        "K asked", f"given out in {SECONDS:g} s mJ", "diverged",
+        f"|Z|/asked at {', '.join(f'{hz:g}' for hz in RENDERED_HZ)} Hz", "phase less asked deg",
+        "noise mN",
     ]  # fmt: skip
     cells = (
         [
             row.device, row.remedy, row.number, row.virtual_damping_ns_per_m,
-            row.stiffness_n_per_m, row.asked_n_per_m, 1e3 * row.given_out_j,
-            "yes" if row.diverged else "no",
+            row.stiffness_n_per_m, *map(float, np.quantile(row.draws_n_per_m, (0.5, 0.05, 0.95))),
+            row.asked_n_per_m, 1e3 * row.given_out_j, "yes" if row.diverged else "no",
+            *_felt_cells(row.rendered), 1e3 * row.noise_n,
         ]
         for row in rows
     )  # fmt: skip

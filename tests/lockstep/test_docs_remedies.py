@@ -69,3 +69,22 @@ def test_no_drawn_hand_gets_too_much_at_a_kept_stiffness(remedies: ModuleType) -
     given = port_energy.given_out(scene, (), hands, np.array([point, [1.5 * point[0], point[1]]]))
     kept, beyond = given.max(axis=0)
     assert kept <= port_energy.GIVEN_J < beyond
+
+
+def test_gain_is_that_of_each_draw_and_leaves_out_draws_without_a_first_row(
+    remedies: ModuleType,
+) -> None:
+    first = {"draws_n_per_m": [100.0, 200.0, 0.0]}
+    row = {"draws_n_per_m": [300.0, 600.0, 50.0]}
+    assert remedies.gains(row, first) == (3.0, 3.0, 3.0)
+
+
+def test_trials_are_kept_for_rows_of_the_same_environment_only(remedies: ModuleType) -> None:
+    def row(k: float, trials: str | None) -> dict[str, object]:
+        named = {"device": "light", "remedy": "2 x rate", "virtual_damping_ns_per_m": 0.1}
+        return named | {"stiffness_n_per_m": k, "trials": trials}
+
+    before = [row(100.0, "earlier")]
+    after = [row(100.0, None), row(101.0, None), row(100.0, "new")]
+    found = [one["trials"] for one in remedies.with_trials(after, before)]
+    assert found == ["earlier", None, "new"]
