@@ -3,17 +3,27 @@
 import json
 from functools import partial
 from itertools import pairwise
+from math import pi
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.cli_sim import MINE, spoken
-from test_studies_remedies import AS_IT_IS, PHYSICAL_NS_PER_M, rigid, row, rows
+from test_studies_remedies import (
+    AS_IT_IS,
+    COUPLING,
+    MASS_KG,
+    PHYSICAL_NS_PER_M,
+    rigid,
+    row,
+    rows,
+)
 
 from hapticd.settings.scene import load_scene
 from hapticd.studies import port_energy, remedies
 from hapticd.studies.remedies import (
     REMEDIES,
+    RENDERED_HZ,
     SCENES,
     RemediesParams,
     Remedy,
@@ -63,6 +73,31 @@ def test_shipped_devices_differ_and_are_passive_without_a_remedy() -> None:
     found = [rows(load_scene(name), AS_IT_IS)[0] for name in SCENES]
     assert [one.device for one in found] == list(SCENES)
     assert all(one.stiffness_n_per_m > 50.0 for one in found)
+
+
+def test_largest_coupling_is_the_stiffness_that_a_wall_may_have() -> None:
+    first, coupled = rows(rigid(0.6875), AS_IT_IS, COUPLING)
+    assert coupled.stiffness_n_per_m == first.stiffness_n_per_m
+    assert coupled.virtual_damping_ns_per_m == first.virtual_damping_ns_per_m
+    assert np.isnan(coupled.volume)
+
+
+def test_felt_through_a_coupling_is_both_in_series_and_the_device() -> None:
+    first, coupled = rows(rigid(), AS_IT_IS, COUPLING)
+    k, b = coupled.asked
+    s = 2j * pi * RENDERED_HZ[0]
+    asked = k / s + b
+    between = first.stiffness_n_per_m / s + first.virtual_damping_ns_per_m
+    series = asked * between / (asked + between)
+    device = MASS_KG * s + PHYSICAL_NS_PER_M
+    assert coupled.rendered[0] == pytest.approx((series + device) / asked, rel=0.02)
+    assert abs(coupled.rendered[0]) < 0.8 * abs(first.rendered[0])
+
+
+def test_a_coupling_has_no_trials() -> None:
+    """Its law is no sum of K, B and M."""
+    (found,) = rows(rigid(), COUPLING, quick=False, seeds=1)
+    assert found.trials is None
 
 
 def test_verb_prints_keeps_and_returns_the_rows(

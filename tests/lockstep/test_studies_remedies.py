@@ -114,13 +114,6 @@ def test_noise_at_rest_of_a_spring_is_that_of_a_rounded_position() -> None:
     assert noises[0] < 0.5 * noises[1] < 0.25 * noises[2]
 
 
-def test_largest_coupling_is_the_stiffness_that_a_wall_may_have() -> None:
-    first, coupled = rows(rigid(0.6875), AS_IT_IS, COUPLING)
-    assert coupled.stiffness_n_per_m == first.stiffness_n_per_m
-    assert coupled.virtual_damping_ns_per_m == first.virtual_damping_ns_per_m
-    assert np.isnan(coupled.volume)
-
-
 def test_a_spring_behind_a_coupling_may_need_more_than_a_wall() -> None:
     """With more virtual than physical damping. The share s of the motion in the coupling makes K s
     of it and B s^2: b + B s^2 >= K s T at every s needs K T <= 2 sqrt(b B), less than b + B.
@@ -132,24 +125,6 @@ def test_a_spring_behind_a_coupling_may_need_more_than_a_wall() -> None:
     ratio = 2.0 * sqrt(physical * virtual) / (physical + virtual)
     assert coupling / wall == pytest.approx(ratio, rel=0.03)
     assert ratio < 0.9
-
-
-def test_felt_through_a_coupling_is_both_in_series_and_the_device() -> None:
-    first, coupled = rows(rigid(), AS_IT_IS, COUPLING)
-    k, b = coupled.asked
-    s = 2j * pi * RENDERED_HZ[0]
-    asked = k / s + b
-    between = first.stiffness_n_per_m / s + first.virtual_damping_ns_per_m
-    series = asked * between / (asked + between)
-    device = MASS_KG * s + PHYSICAL_NS_PER_M
-    assert coupled.rendered[0] == pytest.approx((series + device) / asked, rel=0.02)
-    assert abs(coupled.rendered[0]) < 0.8 * abs(first.rendered[0])
-
-
-def test_a_coupling_has_no_trials() -> None:
-    """Its law is no sum of K, B and M."""
-    (found,) = rows(rigid(), COUPLING, quick=False, seeds=1)
-    assert found.trials is None
 
 
 def test_a_device_that_is_active_by_itself_has_no_stiffness_and_no_volume() -> None:
