@@ -71,10 +71,10 @@ LOWEST_CORNER_HZ = 25.0
 HIGHEST_CORNER = 0.45  # of the rate
 CORNERS = (10, 5)  # tried; with --quick
 GRID = ((20, 16, 12), (10, 8, 6))  # values of K, B and M; with --quick
-ROUNDS = 3  # of VALUES of B: over all, then about the best one before
+ROUNDS = 3  # of VALUES of B: over the whole range, then about the best one so far
 VALUES = 7
 BEYOND = 1.1  # of the ends of a grid over what is known of the set
-WIDER = 1.5  # factor of an end beyond which the set goes on
+WIDER = 1.5  # factor of an end that the set reaches
 WIDENINGS = 12  # at most
 SPRINGS = np.geomspace(0.01, 100.0, 9)  # behind a coupling, over its own stiffness
 TOLERANCE = 0.05  # of a limit by trials: between seeds it scatters as much
@@ -84,7 +84,7 @@ Passive = Callable[[Floats], Flags]
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """What is done to a scene; the defaults change nothing."""
+    """A change of a scene; the defaults change nothing."""
 
     name: str
     faster: float = 1.0  # rate of the servo over the scene's
@@ -114,7 +114,7 @@ REMEDIES = (
 
 @dataclass(frozen=True, slots=True)
 class RemediesParams:
-    """What is compared, and how: `seconds` and `seeds` of the trials of each row; no seed: none."""
+    """Scenes and remedies; `seconds` and `seeds` of the trials of each row. 0 seeds: no trials."""
 
     scenes: tuple[Scene, ...]
     remedies: tuple[Remedy, ...] = REMEDIES
@@ -125,7 +125,7 @@ class RemediesParams:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A device with a remedy. nan: nothing is passive there, or there is no such number."""
+    """A device with a remedy. nan: nothing is passive, or there is no such number."""
 
     device: str  # name of the scene
     remedy: str
@@ -143,7 +143,7 @@ class Row:
 
 
 def treated(scene: Scene, remedy: Remedy, corner_hz: float | None = None) -> Scene:
-    """The scene with that remedy, and the velocity filter at `corner_hz` if it is given."""
+    """Return the scene with that remedy, and with the velocity filter at `corner_hz` if given."""
     share = remedy.faster * remedy.delay_share
     effects = tuple(
         replace(one, periods=share * one.periods) if isinstance(one, Delay) else one
@@ -163,16 +163,18 @@ def treated(scene: Scene, remedy: Remedy, corner_hz: float | None = None) -> Sce
 
 
 def passive_by_theorem(scene: Scene) -> Passive:
-    """Whether environments (N, 3) are passive on the scene's device at its active damping."""
+    """Return a test whether environments (N, 3) are passive on the scene's device, at its active
+    damping.
+    """
     shown = display(scene)
     at = Conditions(level(scene), shown.filters, shown.model.delay_periods, 0.0)
     return partial(Theorem(shown.model).safe, at=at)
 
 
 def couplings(scene: Scene) -> Passive:
-    """Whether couplings K, B, 0 (N, 3) are passive on the scene's device with a rigid object and
-    with springs behind them. Between a fixed device and a spring, too, a coupling must be stable:
-    its C plus the spring does not go around 0.
+    """Return a test whether couplings K, B, 0 (N, 3) are passive on the scene's device, with a rigid
+    object and with springs behind them. A coupling between a fixed device and a spring must be
+    stable too: its C plus the spring does not encircle 0.
     """
     shown = display(scene)
     rigid = passive_by_theorem(scene)
@@ -196,12 +198,12 @@ def couplings(scene: Scene) -> Passive:
 
 
 def largest_stiffness(passive: Passive, virtual_damping_ns_per_m: float) -> float:
-    """K [N/m] of the first failure at that B and M = 0; nan if K = 0 fails."""
+    """Return K [N/m] of the first failure at that B and M = 0; nan if K = 0 fails."""
     return axis_limit(passive, 0, limits.REACH[0], (0.0, virtual_damping_ns_per_m, 0.0))
 
 
 def stiffest(passive: Passive) -> tuple[float, float]:
-    """(B [N s/m], K [N/m]): the B >= 0 at which K goes farthest; nan if nothing is passive."""
+    """Return (B [N s/m], K [N/m]) at the B >= 0 with the largest K; nan if nothing is passive."""
     low = 0.0
     high = axis_limit(passive, 1, limits.REACH[1])
     if not isfinite(high):
@@ -216,7 +218,7 @@ def stiffest(passive: Passive) -> tuple[float, float]:
 
 
 def best_corner(scene: Scene, remedy: Remedy, count: int) -> Scene:
-    """The scene with that remedy and, of `count` corners of the velocity filter, the best one."""
+    """Return the scene with that remedy and the best of `count` corners of the velocity filter."""
     highest_hz = HIGHEST_CORNER * remedy.faster * scene.rate_hz
     scenes = [
         treated(scene, remedy, float(hz))
@@ -227,8 +229,9 @@ def best_corner(scene: Scene, remedy: Remedy, count: int) -> Scene:
 
 
 def set_volume(passive: Passive, best: tuple[float, float], counts: Sequence[int]) -> float:
-    """Volume [N/m N s/m kg] of the passive K >= 0, B >= 0 and M by a grid of so many values, about
-    the (B, K) of `stiffest`, that is widened until the set ends inside; 0 if nothing is passive.
+    """Return the volume [N/m N s/m kg] of the passive K >= 0, B >= 0 and M; 0 if nothing is
+    passive. The grid of so many values includes the (B, K) of `stiffest`, and is widened until it
+    contains the set.
     """
     if not isfinite(best[1]):
         return 0.0
@@ -271,7 +274,9 @@ def felt_law(asked: tuple[float, float], coupling: tuple[float, float] | None) -
 
 
 def rendered(scene: Scene, asked: tuple[float, float], law: Law) -> Complexes:
-    """Z over the asked K / s + B at RENDERED_HZ (3,), no dry friction; nan if nothing is asked."""
+    """Return Z at RENDERED_HZ (3,) over the asked K / s + B, without dry friction; nan if nothing
+    is asked.
+    """
     shown = display(scene)
     k, b = asked
     if not isfinite(k):
@@ -285,7 +290,9 @@ def rendered(scene: Scene, asked: tuple[float, float], law: Law) -> Complexes:
 
 
 def noise_at_rest(scene: Scene, law: Law) -> float:
-    """Rms force [N] of the law under white position noise as large as the encoder's rounding."""
+    """Return the rms force [N] of the law under white position noise as large as the encoder's
+    rounding; nan without an encoder.
+    """
     model = display(scene).model
     if model.encoder_quantum_m is None:
         return nan
@@ -297,7 +304,9 @@ def noise_at_rest(scene: Scene, law: Law) -> float:
 def judged(
     scene: Scene, asked: tuple[float, float] | None, remedy: Remedy, quick: bool
 ) -> tuple[Scene, Row]:
-    """The scene with the remedy, and its row by theory; `asked` None: half of its own stiffness."""
+    """Return the scene with the remedy, and its row by theory. `asked` None: half of its own
+    stiffness.
+    """
     own = (
         best_corner(scene, remedy, CORNERS[quick]) if remedy.best_corner else treated(scene, remedy)
     )
@@ -324,8 +333,8 @@ def judged(
 def run_remedies(
     params: RemediesParams, store: TrialStore, tell: Progress = silent
 ) -> tuple[Row, ...]:
-    """All remedies on all devices, the first remedy being what the others are compared with: by
-    theory, then by the trials that the store lacks. ConfigError as `compose` and `simulate`.
+    """Return the rows of all remedies on all devices, by theory, then by the trials that the store
+    lacks. The first remedy sets the asked environment. ConfigError as `compose` and `simulate`.
     """
     steps = Steps(tell, len(params.scenes) * len(params.remedies))
     found: list[tuple[Scene, Row]] = []
