@@ -172,9 +172,9 @@ def passive_by_theorem(scene: Scene) -> Passive:
 
 
 def couplings(scene: Scene) -> Passive:
-    """Return a test whether couplings K, B, 0 (N, 3) are passive on the scene's device, with a rigid
-    object and with springs behind them. A coupling between a fixed device and a spring must be
-    stable too: its C plus the spring does not encircle 0.
+    """Return a test whether couplings K, B, 0 (N, 3) are passive on the scene's device, with a
+    rigid object and with springs behind them. A coupling between a fixed device and a spring must
+    be stable too: its C plus the spring does not encircle 0.
     """
     shown = display(scene)
     rigid = passive_by_theorem(scene)
