@@ -11,6 +11,8 @@ refined between the two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
 
+With `contact` a level of active damping is that at the wall (`render.contact`), and not everywhere.
+
 Limitations: a device whose stable walls are not in one piece as K is raised; walls beyond the first
 unstable one are not tried.
 """
@@ -27,6 +29,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
+from hapticd.render.contact import ContactDamping
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.store import Progress, Steps, silent
 
@@ -47,6 +50,7 @@ class WallMapParams:
     levels: tuple[float, ...] = (0.0, 1.74)
     settle_s: float = 1.5
     still_m_per_s: float = 2e-3
+    contact: ContactDamping | None = None  # with each of `levels` at the wall; None: everywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +189,7 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
         [[0.0, 0.0, 0.0]],
         scene.seconds,
         active_damping=level,
+        contact=params.contact and replace(params.contact, contact_ns_per_m=level),
         environment=replace(scene.environment, wall=wall),
         excitation=scene.excitation,
         start=(scene.start_position_m, scene.start_velocity_m_per_s),

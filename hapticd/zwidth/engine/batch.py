@@ -33,10 +33,12 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.render.contact import ContactDamping
 from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import Spectra, grid_frequencies
 from hapticd.zwidth.engine.job import (
+    AtContact,
     Group,
     Heating,
     Inputs,
@@ -199,6 +201,7 @@ def simulate(
     keep: str = "summary",
     own_torque: bool = False,
     parts: tuple[LawPart, ...] = (),
+    contact: ContactDamping | None = None,
     executor: Executor | None = None,
     chunk: int | None = None,
 ) -> BatchResult:
@@ -222,6 +225,7 @@ def simulate(
     own_torque   a record of its own for every trial instead of a shared one, with noise of the
                  probe by its position; otherwise by its K, B and M
     parts        of the law, such as another estimator of the velocity (`render.parts`)
+    contact      active damping that follows the wall, in place of `active_damping`
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
 
@@ -249,12 +253,14 @@ def simulate(
         keep=keep,
         own_torque=own_torque,
         parts=parts,
+        contact=contact,
         some=bool(trials.any()),
     )
     if chunk is not None and chunk < 1:
         raise ConfigError(f"{chunk} trials in a task: must be 1 or more, or None")
     made = prepared(job)  # compiles once, before any thread waits for it
     size = chunk or made.shape.lanes * (1 if executor is None else REMOTE_GROUPS)
+    size = size if contact is None else 1  # a level is that of a whole group of lanes
     firsts = range(0, len(trials), size)
     groups = [trials[first : first + size] for first in firsts]
     own = range(len(trials)) if own_torque else [_number(trial) for trial in trials]
@@ -369,9 +375,10 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
     inputs = Inputs(job, made, numbers)
     records = (spectral if job.keep == "spectra" else Records)(job, made, numbers)
     heating = None if made.model.winding is None else Heating(group, made.model.winding.heating)
+    follower = None if job.contact is None else AtContact(group, job, job.contact)
     level_ns_per_m = None
     for start, end in inputs.legs():
-        if (wanted := level_at(job, start)) != level_ns_per_m:
+        if follower is None and (wanted := level_at(job, start)) != level_ns_per_m:
             level_ns_per_m = wanted
             (heating or group).damp(level_ns_per_m)
         group.play(
@@ -382,6 +389,8 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
             records.kept,
         )
         records.store(start, end, group.rows["ALIVE"])
+        if follower is not None:
+            follower.follow()
         if heating is not None:
             heating.warm((end - start) / job.model.rate_hz, (end - start) * made.shape.samples)
         if not group.rows["ALIVE"][: group.count].any():

@@ -46,6 +46,7 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, held_noise, torque_record
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
+from hapticd.render.contact import ContactDamping
 from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import Filters, kernel, law_numbers, plant_numbers
@@ -75,6 +76,7 @@ class Job:
     start_position_m: float  # of all bodies
     start_velocity_m_per_s: float  # of all bodies
     parts: tuple[LawPart, ...] = ()  # of the law
+    contact: ContactDamping | None = None  # in place of `active_damping`
 
     @property
     def samples(self) -> int:
@@ -106,11 +108,16 @@ class Prepared:
 @lru_cache(maxsize=CACHED)
 def prepared(job: Job) -> Prepared:
     """Return the kernel and its inputs, cached per job. ConfigError as `shape_of` and `kernel`."""
-    damped = any(step.level_ns_per_m != 0.0 for step in job.active_damping)
+    damped = job.contact is not None or any(one.level_ns_per_m for one in job.active_damping)
     model, coordinates = reduced(job.model, damped)
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
     if job.keep not in KEEPS:
         raise ConfigError(f"keep {job.keep!r}: use one of {', '.join(KEEPS)}")
+    if job.contact is not None and not (shape.wall and model.winding is None):
+        raise ConfigError(
+            f"active damping at a wall on {model.name}: give the environment a wall, and the device"
+            " no winding that heats up"
+        )
     shape = replace(
         shape,
         lanes=LANES_OF_RECORDS[job.dtype] if job.keep in ("records", "ticks") else shape.lanes,
@@ -335,6 +342,44 @@ class Heating:
         return self._nodes[key]
 
 
+# --- active damping at a wall ---------------------------------------------------------------------
+
+
+class AtContact:
+    """The level of active damping of a group of one trial by `rule`, and its wall, scaled with it.
+
+    Both follow the sample of the tick before. The force of a sample has the share of the level that
+    was in effect when it was computed. If the level rises, it is beyond that when the force acts.
+    Limitations: a level that falls within the delay of a force of the wall, which no approach that
+    is longer than the way of that delay permits.
+    """
+
+    def __init__(self, group: Group, job: Job, rule: ContactDamping) -> None:
+        self._group = group
+        self._rule = rule
+        self._wall = job.environment.wall
+        self._period_s = 1.0 / job.model.rate_hz
+        self._quantum = job.model.active_damping_quantum_ns_per_m
+        self._set(rule.free_ns_per_m)
+
+    def follow(self) -> None:
+        """Set level and wall of the next tick, by the last position that the law has seen."""
+        x = float(self._group.rows["L0"][0])
+        level = self._rule.next_level(x, self._wall, self._level, self._period_s)
+        if level != self._level:
+            self._set(level)
+
+    def _set(self, level: float) -> None:
+        self._level = level  # before its converter
+        share = self._rule.share(level)
+        numbers = self._group.made.numbers(rounded(level, self._quantum))
+        scaled_wall = {
+            "WALL_K": share * self._wall.stiffness_n_per_m,
+            "WALL_B": share * self._wall.virtual_damping_ns_per_m,
+        }
+        self._group.set(numbers | scaled_wall)
+
+
 # --- inputs of a group ----------------------------------------------------------------------------
 
 BLOCK_TICKS = 8192  # in a call of a kernel, and between two tallies, at most
@@ -404,7 +449,7 @@ def _repeated(record: Values, job: Job, made: Prepared) -> Values:
 
 
 def _borders(job: Job, made: Prepared, period: int) -> list[int]:
-    steps = [BLOCK_TICKS, period]
+    steps = [BLOCK_TICKS if job.contact is None else 1, period]
     if job.keep == "spectra" and not LAG % made.shape.samples:
         steps.append(LAG // made.shape.samples)
     if made.model.winding is not None:

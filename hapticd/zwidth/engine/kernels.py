@@ -18,7 +18,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import ModuleType
 
@@ -94,11 +94,13 @@ def _write(path: Path, text: str) -> None:
 # --- coefficients ---------------------------------------------------------------------------------
 # of velocity and acceleration; None: none
 Filters = tuple[FilterParams | None, FilterParams | None]
+NUMBERS = 256  # cached sets of coefficients: levels on the way to a wall, for several trials
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
 
+@lru_cache(maxsize=NUMBERS)
 def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str, float]:
-    """Return all numbers that depend on the plant, at this active damping."""
+    """Return all numbers that depend on the plant, at this active damping; do not change them."""
     duration_s = 1.0 / (PROBE_RATE_HZ * shape.substeps)
     whole = discretise(model, duration_s, level_ns_per_m)
     numbers = dict(_map_rows(model, whole))

@@ -27,6 +27,7 @@ The state of a position must have a name that `_is_position` accepts.
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from math import floor
 from typing import Any, NamedTuple
 
@@ -158,9 +159,11 @@ class Shape:
 Mask = npt.NDArray[np.bool_]
 
 REFERENCE = "rotor_position"
+REDUCED = 4  # cached models: trials of one device share theirs, and with it their coefficients
 CANCELLED = 1e-12  # relative size of a sum of coefficients that is zero but for rounding
 
 
+@lru_cache(maxsize=REDUCED)
 def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
     """`model` in relative positions without the states that do not matter here, and the matrix from
     its states to these.
