@@ -232,6 +232,22 @@ def test_walls_prints_the_boundary(tmp_path, capsys):
     assert (tmp_path / "walls.png").is_file()
 
 
+def test_walls_stand_with_active_damping_from_the_approach_on(tmp_path, capsys):
+    """The wall is as stiff as with the level everywhere, and an impact goes farther in."""
+    found = []
+    for more in ([], ["--approach", "0.5"], ["--approach", "0.5", "--slew", "20"]):
+        words = ["walls", "--active-damping", "1.74", "--stiffness", "400", "800", "2"]
+        words += ["--viscous", "2", "3", "2", "--no-plot", "--out", str(tmp_path), "--json", *more]
+        code, out, _ = run(words, capsys)
+        line, _ = json.loads(out)["lines"]
+        found.append((code, line["highest_n_per_m"], line["impacts"][0]["deepest_m"]))
+        rule = json.loads((tmp_path / "run.json").read_text())["contact"]
+        assert (rule is None) == (not more)
+    everywhere, early, late = found
+    assert everywhere[:2] == early[:2] == (0, 800.0)
+    assert everywhere[2] < early[2] < 0.5 * late[2]
+
+
 def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
     from hapticd.zwidth import map as maps
 

@@ -24,6 +24,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, linearise, predict
+    from hapticd.render import contact as render_contact
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, sources, store, walls
     from hapticd.zwidth.report import paper
@@ -359,6 +360,24 @@ def walls_command(
     still: Annotated[
         float, typer.Option("--still", metavar="M/S", help="Oscillation speed that counts as rest.")
     ] = 2e-3,
+    approach: Annotated[
+        float | None,
+        typer.Option(
+            "--approach",
+            metavar="MM",
+            min=0.0,
+            help="Raise the active damping from MM mm before the wall on (default: everywhere).",
+        ),
+    ] = None,
+    slew: Annotated[
+        float,
+        typer.Option(
+            "--slew",
+            metavar="N",
+            min=1.0,
+            help="Fastest change of the active damping with --approach, N s/m per s.",
+        ),
+    ] = 2000.0,
     out: common.Out = None,
     plot: common.Plot = True,
     figure_width: terminal.FigureWidth = None,
@@ -366,6 +385,9 @@ def walls_command(
 ) -> None:
     """Find how stiff a virtual wall may be at each virtual damping before an impact makes it
     oscillate: the K-B plot of one device.
+
+    With --approach, free motion has no active damping, and the wall is rendered only as far as the
+    active damping has risen. This is a simulation: the servo does not do it.
     """
     terminal.need_engine(plot)
     stiffnesses, dampings = _grid(stiffness, viscous)
@@ -376,12 +398,14 @@ def walls_command(
         common.levels(active_damping),
         settle_s,
         still,
+        None if approach is None else render_contact.ContactDamping(0.0, 1e-3 * approach, slew),
     )
     plan = walls.plan_walls(params)
     with common.interruptible(), progress() as tell:
         result = walls.run_walls(plan, tell)
     folder = common.folder(out, "walls")
-    common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
+    about = {"kind": "walls", "scene": scene, "contact": params.contact, "lines": result.lines}
+    common.write_summary(folder, about)
     figure = partial(figures.walls_figure, result, width_mm=figure_width)
     paths = common.drawn(folder, "walls", figure, plot)
     found = {"lines": store.to_json(result.lines)}
