@@ -32,7 +32,7 @@ from benchmarks.timing import (  # noqa: E402
     rigid,
     tried_limit,
 )
-from hapticd.guard.bases import Conditions, Theorem  # noqa: E402
+from hapticd.model.bases import Conditions, Theorem  # noqa: E402
 from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
 from hapticd.model.scene import Scene  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402

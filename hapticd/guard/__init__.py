@@ -4,9 +4,8 @@ The gateway passes a request to this package, and a worker process judges it. Th
 policy allows go into the mailbox one after the other. Imports point from gateway to guard to
 mailbox.
 
-The criterion consists of pure functions of a device model and of environments:
+The criterion consists of pure functions of a basis (`model.bases`) and of environments:
 
-    bases               Theorem, Predicted, Measured: the grounds on which an environment is safe
     safe_region         SafeRegion: the safe environments, and the allowed ranges of K, B and M; the
                         passive range of each alone, and the stiffness lost to the delay; verdict,
                         reasons and remedies as plain maps

@@ -2,7 +2,7 @@
 
 A remedy (`Remedy`) changes a scene: the rate of its servo, the delay of its force, its active
 damping, the corner of its velocity filter. All are linear and time-invariant, so the theorem
-(`model.theorem`, `guard.bases`) judges the sampled loop with them exactly: stable, and passive for
+(`model.theorem`, `model.bases`) judges the sampled loop with them exactly: stable, and passive for
 every input and every passive hand, without counting on dry friction. What follows from it has no
 interval:
 
@@ -37,7 +37,7 @@ from math import isfinite, nan, sqrt
 import numpy as np
 
 from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.guard.bases import Conditions, Theorem
+from hapticd.model.bases import Conditions, Theorem
 from hapticd.model.effects import Delay
 from hapticd.model.loop import derivatives
 from hapticd.model.predict import predicted_impedance

@@ -46,7 +46,16 @@ from hapticd.model.theorem import (
     outside_circles,
 )
 
-__all__ = ["Conditions", "Theorem"]
+__all__ = [
+    "Basis",
+    "Conditions",
+    "Measured",
+    "Predicted",
+    "Reading",
+    "Theorem",
+    "cached_levels",
+    "model_of",
+]
 
 LEVELS = 16
 _KEPT = 4 * LEVELS  # cached lifts, circles and ticks: levels, some delays, filters
