@@ -66,7 +66,7 @@ from hapticd.protocol.telemetry import TOPICS
 from hapticd.protocol.view import ServoView
 
 if TYPE_CHECKING:
-    from hapticd.gateway.relay_supervisor import RelaySupervisor
+    from hapticd.gateway.relay import RelaySupervisor
 
 __all__ = ["run"]
 
@@ -137,7 +137,7 @@ class Sockets:
     def _guarded(
         self, source: str, listener: socket.socket, endpoint: str, params: GatewayParams
     ) -> "RelaySupervisor":
-        from hapticd.gateway.relay_supervisor import RelaySupervisor  # libzmq, for it alone
+        from hapticd.gateway.relay import RelaySupervisor  # libzmq, for it alone
 
         return RelaySupervisor(
             source, listener, endpoint, Path(params.curve_keys or ""), self._selector

@@ -19,9 +19,9 @@ A request passes through these modules:
 
     status              the policy in force, and the last results of the worker
     request_queue       the queue of requests that wait for a verdict
-    pending             one such request, and its stages as received from the worker; changes that
-                        the servo holds for later ticks; posted commands that are not yet answered
-    refusals            refusals and verdicts without the judgement of the worker
+    pending             one such request, its stages as received from the worker, its refusals and
+                        verdicts without the worker's judgement; changes that the servo holds for
+                        later ticks; posted commands that are not yet answered
     stages              the multi-stage change in progress
     terms               policy, basis, margin and mode, kept across a restart of the gateway; the
                         environment in force, from the newest record and the last answer; the loop
