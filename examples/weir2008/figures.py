@@ -34,7 +34,7 @@ from examples.weir2008.run import (
     Peak,
     ReproduceResult,
 )
-from hapticd.signal.passive_set import open_ends, passive_set
+from hapticd.signal.passive_set import PassiveSet
 from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.passive_set import draw_predicted
@@ -344,7 +344,7 @@ def _flat(axis: Axes, found: GridResult) -> Any:
         axis.plot(
             1e3 * m, b, sign, color="white", markeredgecolor="black", markersize=size, label=words
         )
-    ends = open_ends(passive_set(AXES, np.where(found.passive, 1.0, -1.0)))
+    ends = PassiveSet.of(AXES, np.where(found.passive, 1.0, -1.0)).open_ends()
     cut = ", ".join(end for end in ends if end not in ("K min", "B min"))
     reach = f"The grid cuts the set at\n{cut}" if cut else "The grid reaches beyond the set"
     axis.set(

@@ -305,6 +305,13 @@ class Verdict:
         """Whether no edge of `band_hz` was lost under a drift."""
         return not _has(LOST_EDGE, self.findings)
 
+    @property
+    def passes(self) -> bool:
+        """Whether the trial passes the paper's rule, which rejects an unstable trial and one that
+        lost an edge of its band.
+        """
+        return self.within_90_deg and self.whole_band and self.stability != "unstable"
+
     def _read_high(self) -> str:
         if not self.reads_high >= LEAST_TOLD:
             return ""

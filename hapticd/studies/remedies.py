@@ -42,7 +42,7 @@ from hapticd.model.effects import Delay
 from hapticd.model.loop import derivatives
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import DampingStep, Scene
-from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, volume
+from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
 from hapticd.zwidth import limits, outcomes
 from hapticd.zwidth.sources import display, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
@@ -210,12 +210,12 @@ def set_volume(passive: Passive, best: tuple[float, float], counts: Sequence[int
             np.linspace(0.0, ends["B max"], counts[1]),
             np.linspace(ends["M min"], ends["M max"], counts[2]),
         )
-        found = passive_set(axes, np.where(passive(grid(axes)), 1.0, -1.0))
-        beyond = [name for name in open_ends(found) if name in ends]
+        found = PassiveSet.of(axes, np.where(passive(grid(axes)), 1.0, -1.0))
+        beyond = [name for name in found.open_ends() if name in ends]
         if not beyond:
             break
         ends |= {name: WIDER * ends[name] for name in beyond}
-    return volume(found)
+    return found.volume()
 
 
 def rendered(scene: Scene, asked: tuple[float, float]) -> Complexes:

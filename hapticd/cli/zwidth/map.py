@@ -22,7 +22,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.core import arrays
-    from hapticd.signal import compare, passive_set
+    from hapticd.signal import compare
     from hapticd.zwidth import executors, outcomes, search, store
     from hapticd.zwidth import map as maps
     from hapticd.zwidth.report import envelope, paper, style
@@ -187,9 +187,9 @@ def _level(level: "maps.LevelMap") -> dict[str, Any]:
         "passive": int(level.found.passive.sum()),
         "tried": int(level.tried.sum()),
         "unlike_prediction": level.disagreements,
-        "set_limits": passive_set.set_limits(level.found) if level.found.passive.any() else None,
-        "open_ends": passive_set.open_ends(level.found),
-        "volume": passive_set.volume(level.found),
+        "set_limits": level.found.limits() if level.found.passive.any() else None,
+        "open_ends": level.found.open_ends(),
+        "volume": level.found.volume(),
         "widths_db": compare.widths_db(level.envelope) if level.envelope else (),
     }
 
@@ -296,9 +296,9 @@ def _search_level(result: "search.SearchResult") -> dict[str, Any]:
         "trials": len(result.steps),
         "unstable": len(result.search.unstable),
         "doubt": result.doubt,
-        "limits": passive_set.set_limits(result.found),
+        "limits": result.found.limits(),
         "open_ends": result.open_ends,
-        "volume": passive_set.volume(result.found),
+        "volume": result.found.volume(),
         "miss_ns_per_m": _miss_ns_per_m(result),
         "box": result.plan.box,
     }
