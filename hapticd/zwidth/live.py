@@ -43,7 +43,7 @@ from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
-__all__ = ["allowed_waveform", "daemon_source"]
+__all__ = ["allowed_waveform", "daemon_source", "signals"]
 
 LEASE_S = 5.0  # a trial that hangs for longer has ended
 RENEW_S = 1.0
