@@ -62,7 +62,6 @@ __all__ = [
     "InjectionParams",
     "LeaseParams",
     "Leased",
-    "MeasuredBy",
     "MeasuredLevel",
     "MeasuredParams",
     "ModelParams",
@@ -72,6 +71,7 @@ __all__ = [
     "Policy",
     "RealtimeParams",
     "ResistanceParams",
+    "RigStep",
     "RotorForce",
     "SafetyParams",
     "ScaleParams",
@@ -115,7 +115,6 @@ RigStep = Literal[
     "rig identify",
 ]
 RIG_STEPS: tuple[str, ...] = get_args(RigStep)
-MeasuredBy = Literal[RigStep, "paper", ""]
 # between a measured scale and the board's nominal one; more means a wrong unit, range or board
 MOST_CORRECTION = 1.5
 

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING
 
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GatewaySetup, read_params
-from hapticd.core.process import Feeder, die_with_parent, launch, notify, on_stop
+from hapticd.core.process import die_with_parent, launch, on_stop
 from hapticd.core.units import MonotonicClock
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
+from hapticd.run.watchdog import Feeder, notify
 
 if TYPE_CHECKING:
     import subprocess

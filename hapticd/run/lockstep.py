@@ -17,7 +17,7 @@ Limitations: it gives no information on real time; a stalled host cannot be obse
 """
 
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from hapticd.core.params import (
     UsbParams,
     to_plain,
 )
-from hapticd.core.units import VirtualClock
+from hapticd.core.units import Clock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, State, Value
@@ -48,7 +48,7 @@ from hapticd.protocol.schemas import ADAPTER, LeaseRequest
 from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.protocol.view import as_records, configured
 from hapticd.run.servo_main import simulated_backend
-from hapticd.servo.late import virtual_wait
+from hapticd.servo.late import Wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.plan import masked_places
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
@@ -335,3 +335,13 @@ class LockStepClient(Client):
         data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
+
+
+def virtual_wait(clock: Clock) -> Wait:
+    """Return `wait` on a clock that jumps."""
+
+    def wait(deadline_ns: int, _rehearse: Callable[[], object]) -> int:
+        clock.sleep_until_ns(deadline_ns)
+        return clock.now_ns()
+
+    return wait
