@@ -170,7 +170,8 @@ def scene_params(
     # imported here: a lock-step run alone needs neither numpy nor pydantic
     from hapticd.model.compose import compose
     from hapticd.model.effects import sample_timing
-    from hapticd.settings.build import board_of, device_params, smoothing_hz
+    from hapticd.model.scene import smoothing_hz
+    from hapticd.settings.build import board_of, device_params
     from hapticd.settings.scene import build_scene, load_files
 
     files = load_files(name)
