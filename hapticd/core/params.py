@@ -33,6 +33,7 @@ __all__ = [
     "CALIBRATION_DAYS",
     "COMMISSIONING_SHARE",
     "ENERGY_LIMIT_J",
+    "LEAST_IDLE_SHARE",
     "LONGEST_LEASE_S",
     "LONGEST_TIMEOUT_MS",
     "MOST_CORRECTION",
@@ -117,6 +118,7 @@ RigStep = Literal[
 RIG_STEPS: tuple[str, ...] = get_args(RigStep)
 # between a measured scale and the board's nominal one; more means a wrong unit, range or board
 MOST_CORRECTION = 1.5
+LEAST_IDLE_SHARE = 0.25  # of a period, required idle time of a tick
 
 
 @dataclass(frozen=True, slots=True)
