@@ -48,7 +48,6 @@ from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock
 from hapticd.usb import frames
 from hapticd.usb.codec import backoff_s
 from hapticd.usb.device import Device
-from hapticd.usb.frames import Capability, HelloFrame, Request
 
 __all__ = ["BoardSearch", "Tell", "Transport", "settle_transport"]
 
@@ -77,7 +76,7 @@ class BoardSearch:
         self._mismatch_ns = None
         self.retry_ns = now_ns + int(backoff_s(0) * NS_PER_S)
 
-    def look(self, now_ns: int) -> HelloFrame | None:
+    def look(self, now_ns: int) -> frames.HelloFrame | None:
         """Return the hello of the board, open and greeted; None: not due, or not ready."""
         if now_ns < self.retry_ns:
             return None
@@ -150,7 +149,7 @@ def settle_transport(device: Device, clock: Clock) -> Transport:
         delay_us = (1.0 - USUAL_PHASE) * period_us
         return Transport(0.0, USUAL_PHASE, delay_us, rate_hz, in_flight)
     assert device.hello is not None
-    settable = bool(device.hello.capabilities & Capability.SAMPLE_PHASE)
+    settable = bool(device.hello.capabilities & frames.Capability.SAMPLE_PHASE)
     measured = _in_flight if in_flight else _in_turn
     pair_us, phase, held_hz = measured(device, clock, settable)
     device.begin()
@@ -226,7 +225,7 @@ def _greeting_us(device: Device, clock: Clock) -> float:
     times = []
     for _ in range(GREETINGS):
         start_ns = clock.now_ns()
-        device.link.request(Request.HELLO, frames.HELLO_BYTES)
+        device.link.request(frames.Request.HELLO, frames.HELLO_BYTES)
         times.append(clock.now_ns() - start_ns)
     return min(times) / NS_PER_US
 

@@ -13,16 +13,15 @@ from hapticd.model.compose import compose
 from hapticd.model.scene import Scene
 from hapticd.zwidth import sources
 from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.sources import Source, Trial, watched
 from hapticd.zwidth.store import EndReason, Progress, TrialEnd, TrialRecord, silent
 
 __all__ = ["engine_source", "simulated"]
 
 
-def engine_source(scene: Scene, substeps: int = 4) -> Source:
+def engine_source(scene: Scene, substeps: int = 4) -> sources.Source:
     """Return a source of trials of `scene`'s device by the batch engine."""
 
-    def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
+    def record(trial: sources.Trial, tell: Progress = silent) -> TrialRecord:
         tell("simulating", 0, 1)
         found = simulate(
             scene,
@@ -44,7 +43,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
         )
         winding_c = nan if found.winding_c is None else float(found.winding_c[0])
         _, commands = found.traces(0)
-        return watched(whole, watch, winding_c, np.abs(commands))
+        return sources.watched(whole, watch, winding_c, np.abs(commands))
 
     return record
 

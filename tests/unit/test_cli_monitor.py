@@ -197,7 +197,7 @@ class StreamDouble:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
     clock = VirtualClock(NS_PER_S)
-    monkeypatch.setattr("hapticd.core.units.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("hapticd.cli.monitor.MonotonicClock", lambda: clock)
     return clock
 
 

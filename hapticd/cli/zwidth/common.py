@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import change, terminal
-from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.units import US_PER_S
 from hapticd.protocol.limits import CommandLimits
@@ -28,7 +27,7 @@ from hapticd.protocol.limits import CommandLimits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.guard import safe_region
     from hapticd.mailbox import client_side

@@ -14,11 +14,9 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.core import arrays
@@ -108,7 +106,7 @@ def map_command(
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
         missing = plan.trials - len(kept.known)
-        with executors.executor(trials.where, trials=missing) as pool, progress() as tell:
+        with executors.executor(trials.where, trials=missing) as pool, terminal.progress() as tell:
             result = maps.run_map(plan, kept, tell, pool, follow)
     levels = [_level(level) for level in result.levels]
     asked = {"near": near, "everywhere": everywhere, "refine": refine}
@@ -272,7 +270,11 @@ def search_command(
     kept = store.TrialStore(folder / "trials.jsonl")
     found = []
     follow = common.print_outcomes if results.as_json else lambda new: None
-    with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
+    with (
+        common.keeping(kept, folder),
+        executors.executor(trials.where) as pool,
+        terminal.progress() as tell,
+    ):
         for level in common.levels(active_damping):
             params = search.SearchParams(conditions, level, budget, together, doubt)
             found.append(search.run_search(search.plan_search(params), kept, tell, pool, follow))

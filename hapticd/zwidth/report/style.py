@@ -30,7 +30,6 @@ from hapticd.core.arrays import Floats
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.zwidth.report import paper
-from hapticd.zwidth.report.paper import PANEL_IN, Panels
 from hapticd.zwidth.store import FIGURE_KINDS, not_writable
 
 if TYPE_CHECKING:
@@ -148,12 +147,12 @@ def styled() -> Iterator[None]:
 
 
 def mosaic(
-    panels: Panels,
+    panels: paper.Panels,
     width_in: float,
     height_in: float,
     title: str = "",
     width_mm: float | None = None,
-    panel_in: float = PANEL_IN,
+    panel_in: float = paper.PANEL_IN,
     **more: Any,
 ) -> tuple[Figure, dict[str, Axes]]:
     """Create a figure whose axes have names; a repeated name spans both places. It is `width_mm`
