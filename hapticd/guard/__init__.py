@@ -27,5 +27,5 @@ A request passes through these modules:
                         environment in force, from the newest record and the last answer; the loop
                         delay of the last minute
     delivered           the active damping that the board delivers
-    worker              the connection to the worker process; main: that process
+    worker              the worker process, and the connection to it
 """

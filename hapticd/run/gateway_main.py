@@ -1,7 +1,7 @@
 """The gateway process: `python -m hapticd.run.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
-or SIGINT. It starts the worker of its guard (`guard.main`), which ends with it. `--parent PID` is
+or SIGINT. It starts the worker of its guard (`guard.worker`), which ends with it. `--parent PID` is
 the supervisor with which it ends. A byte written to the descriptor of `--ready FD` signals that it
 serves. Exit code 0: ended by a signal; 1: a hapticd error, printed in one line on stderr; 78: the
 configuration is wrong and a restart would not help.
@@ -27,7 +27,7 @@ from hapticd.run.watchdog import Feeder, notify
 if TYPE_CHECKING:
     import subprocess
 
-GUARD_MODULE = "hapticd.guard.main"
+GUARD_MODULE = "hapticd.guard.worker"
 
 
 def main(arguments: list[str]) -> int:
