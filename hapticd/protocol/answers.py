@@ -42,7 +42,6 @@ __all__ = [
     "Timing",
     "TimingCost",
     "answer_of",
-    "verdict_of",
 ]
 
 A = TypeVar("A")
@@ -142,11 +141,6 @@ class GuardVerdict(GuardReading):
         if wall is None or wall.margin_ns_per_m is None or free.margin_ns_per_m is None:
             return free
         return wall if wall.margin_ns_per_m < free.margin_ns_per_m else free
-
-
-def verdict_of(plain: Mapping[str, Any] | None) -> GuardVerdict | None:
-    """Return the verdict in the map `plain` of a reply or an event; None without one."""
-    return answer_of(GuardVerdict, plain) if plain else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,6 @@ __all__ = [
     "FORESEEABLE",
     "LEAST_FREEDOM",
     "NEAR_HZ",
-    "NOTHING_JUDGED",
     "Judged",
     "Verdict",
     "half_width",
@@ -207,8 +206,8 @@ class Margin:
 class Judged:
     """The judged range of frequencies, nan if nothing was judged, and the channels used."""
 
-    first_hz: float
-    last_hz: float
+    first_hz: float = nan
+    last_hz: float = nan
     channels: Channels = "recorded"
 
     def __str__(self) -> str:
@@ -228,9 +227,6 @@ class Judged:
             f"first judged {hertz(self.first_hz)} Hz, last judged {hertz(self.last_hz)} Hz, by the"
             f" {self.channels} channels: {CHANNELS_READ}"
         )
-
-
-NOTHING_JUDGED = Judged(nan, nan)
 
 
 @dataclass(frozen=True, slots=True)

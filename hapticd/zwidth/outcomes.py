@@ -45,7 +45,7 @@ from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
 from hapticd.signal.passive_set import Envelope
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, NOTHING_JUDGED, Judged
+from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
@@ -304,7 +304,7 @@ def judged(outcomes: Iterable[Outcome]) -> Judged:
         if not isnan(one.first_judged_hz)
     ]
     if not ends:
-        return NOTHING_JUDGED
+        return Judged()
     return Judged(max(first for first, _ in ends), min(last for _, last in ends))
 
 
