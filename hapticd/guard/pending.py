@@ -39,7 +39,7 @@ from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 from hapticd.protocol.view import ServoView
 
-__all__ = ["Fields", "Outstanding", "Pending", "PendingChange", "ScheduledChanges", "ends_force"]
+__all__ = ["Outstanding", "Pending", "PendingChange", "ends_force"]
 
 # --- requests -------------------------------------------------------------------------------------
 

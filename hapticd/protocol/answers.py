@@ -20,7 +20,6 @@ from hapticd.protocol.journal import Entry
 
 __all__ = [
     "Compensation",
-    "Delays",
     "Delivered",
     "Event",
     "Get",
@@ -37,7 +36,6 @@ __all__ = [
     "LimitCycleFault",
     "Receipt",
     "Room",
-    "StageTimes",
     "Status",
     "Timing",
     "TimingCost",

@@ -53,7 +53,6 @@ __all__ = [
     "receipt",
     "refusal",
     "rendered",
-    "values_given",
 ]
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values

@@ -48,17 +48,14 @@ from hapticd.settings.toml import SETTINGS_BYTES, regular
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = [
-    "RECORDING_LIBRARIES",
     "CalibrationDoubt",
     "certificate_beside",
     "certificate_of",
     "certificate_path",
-    "commit",
     "doubts",
-    "processor",
+    "here",
     "provenance",
     "used_scales",
-    "versions",
 ]
 
 # --- calibrations ---------------------------------------------------------------------------------
@@ -307,6 +304,12 @@ def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
+
+
+def here() -> dict[str, Any]:
+    """Return the software and the processor of this process, for a certificate."""
+    software = provenance(commit=commit(), recording=versions(RECORDING_LIBRARIES))
+    return {"software": software, "cpu": processor()}
 
 
 def processor() -> str:

@@ -45,7 +45,7 @@ from hapticd.protocol.answers import Receipt
 from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.protocol.leases import MEASURING
 from hapticd.protocol.schemas import ADAPTER, LeaseRequest
-from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
+from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock
 from hapticd.protocol.view import as_records, configured
 from hapticd.run.servo_main import simulated_backend
 from hapticd.servo.late import Wait
@@ -316,7 +316,7 @@ class LockStepClient(Client):
             block = RingBlock(1, self._seen, 0, data, as_records(data))
             self._seen += len(block.records)
             if "servo.raw" in topics:
-                yield "servo.raw", raw_message(block, origin)
+                yield "servo.raw", block.message(origin)
             if "probe" in topics:
                 yield from (("probe", payload) for payload in probe.messages(block, origin))
             yield None

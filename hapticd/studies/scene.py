@@ -57,7 +57,7 @@ from hapticd.zwidth.sources import SUBSTEPS, Trial, level
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 
-__all__ = ["SceneResult", "SceneTrial", "ceiling", "compare_integrators", "plan_scene", "run_scene"]
+__all__ = ["SceneTrial", "ceiling", "compare_integrators", "plan_scene", "run_scene"]
 
 TEMPERATURES = 12  # of a winding that warms up, at equal distances of time
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
