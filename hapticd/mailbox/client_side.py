@@ -24,7 +24,6 @@ from hapticd.mailbox.daemons import Report
 
 __all__ = [
     "AXES",
-    "UNKNOWN",
     "WIDEST",
     "Answer",
     "Checkpoint",
@@ -47,7 +46,6 @@ WIDEST = EnvironmentLimits(
     tuple(layout.VALUE_LIMITS[place].low for place in AXES.values()),
     tuple(layout.VALUE_LIMITS[place].high for place in AXES.values()),
 )
-UNKNOWN: Mapping[str, Sequence[float] | None] = {}
 
 
 def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> EnvironmentLimits:

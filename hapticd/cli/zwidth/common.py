@@ -224,9 +224,9 @@ def require_within(name: str, shown: "sources.Display", asked: dict[str, float])
     """Raise BadParameter for values that a daemon would refuse to render on this device."""
     own = device_of(name)
     ceiling = own.limits.active_damping_ns_per_m
-    passive = client_side.UNKNOWN
-    if own.model is not None:
-        passive = safe_region.passive_ranges(shown.model, shown.scene.environment.filters, ceiling)
+    filters = shown.scene.environment.filters
+    known = own.model is not None
+    passive = safe_region.passive_ranges(shown.model, filters, ceiling) if known else {}
     widest = client_side.environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):
