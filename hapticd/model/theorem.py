@@ -60,7 +60,18 @@ from hapticd.model.loop import (
 from hapticd.model.model import Model
 from hapticd.model.predict import environments
 
-__all__ = ["lifted_margin", "lifted_passive", "lifted_system", "required_damping"]
+__all__ = [
+    "NOWHERE",
+    "LiftedSystem",
+    "OpenLoop",
+    "lifted_margin",
+    "lifted_passive",
+    "lifted_system",
+    "lifted_worst",
+    "open_loop",
+    "outside_circles",
+    "required_damping",
+]
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side

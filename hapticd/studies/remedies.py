@@ -47,7 +47,16 @@ from hapticd.zwidth import limits, outcomes
 from hapticd.zwidth.sources import display, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
-__all__ = ["SCENES", "RemediesParams", "Remedy", "Row", "run_remedies"]
+__all__ = [
+    "REMEDIES",
+    "RENDERED_HZ",
+    "SCENES",
+    "RemediesParams",
+    "Remedy",
+    "Row",
+    "run_remedies",
+    "treated",
+]
 
 SCENES = ("fig4", "light", "heavy", "flexible", "median")
 RENDERED_HZ = (5.0, 30.0, 100.0)  # of `Row.rendered`
