@@ -126,7 +126,7 @@ def _receive(line: socket.socket) -> Any:
 def _guard(folder: Path) -> Iterator[socket.socket]:
     """Yield the worker's socket, after its hello."""
     ours, theirs = socket.socketpair()
-    command = [sys.executable, "-m", "hapticd.guard.main", str(folder)]
+    command = [sys.executable, "-m", "hapticd.guard.worker", str(folder)]
     process = subprocess.Popen(
         [*command, "--fd", str(theirs.fileno()), "--parent", str(os.getpid())],
         pass_fds=(theirs.fileno(),),

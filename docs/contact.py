@@ -44,8 +44,8 @@ from hapticd import __version__  # noqa: E402
 from hapticd.core.arrays import Flags, Floats  # noqa: E402
 from hapticd.core.environment import Environment, WallParams  # noqa: E402
 from hapticd.core.units import PROBE_RATE_HZ  # noqa: E402
-from hapticd.guard.bases import Theorem  # noqa: E402
 from hapticd.guard.safe_region import SafeRegion  # noqa: E402
+from hapticd.model.bases import Theorem  # noqa: E402
 from hapticd.model.coupled import at_port  # noqa: E402
 from hapticd.model.predict import predicted_impedance  # noqa: E402
 from hapticd.model.scene import Excitation, Scene  # noqa: E402
@@ -55,14 +55,20 @@ from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.studies.port_energy import LEAST, MOST, SECONDS, hand_of, pushed_n  # noqa: E402
 from hapticd.zwidth.engine.batch import simulate  # noqa: E402
 from hapticd.zwidth.limits import REACH  # noqa: E402
-from hapticd.zwidth.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, WIDTH_IN, axes, styled  # noqa: E402
+from hapticd.zwidth.report.style import WIDTH_IN, Colour, axes, styled  # noqa: E402
 from hapticd.zwidth.sources import SUBSTEPS, display  # noqa: E402
 from hapticd.zwidth.store import TrialStore, fingerprint, to_json  # noqa: E402
 from hapticd.zwidth.walls import WallMapParams, WallPlan, hit, plan_walls, run_walls  # noqa: E402
 
 KEPT = DOCS / "figures" / "contact.json"
 FIGURE = DOCS / "figures" / "contact.svg"
-LOOKS = ((BLACK, "-"), (BLUE, "-"), (ORANGE, "--"), (PURPLE, "--"), (GREEN, ":"))
+LOOKS = (
+    (Colour.BLACK, "-"),
+    (Colour.BLUE, "-"),
+    (Colour.ORANGE, "--"),
+    (Colour.PURPLE, "--"),
+    (Colour.GREEN, ":"),
+)
 TRIALS = DOCS.parent / "build" / "contact" / "trials.jsonl"
 SCENES = ("fig4", "median")
 LEVEL_NS_PER_M = 1.74

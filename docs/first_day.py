@@ -15,7 +15,7 @@ sys.path[:0] = [str(DOCS.parent / "tests")]
 from support.blind_rig import BlindRig, first_day  # noqa: E402
 
 from hapticd.rig.result import StepResult, line  # noqa: E402
-from hapticd.zwidth.report.style import BLACK, BLUE, ORANGE, WIDTH_IN, axes, styled  # noqa: E402
+from hapticd.zwidth.report.style import WIDTH_IN, Colour, axes, styled  # noqa: E402
 
 SEED = 2026
 SHOWN_S = 0.15  # of a push
@@ -25,13 +25,13 @@ FIGURE = DOCS / "figures" / "first-day.svg"
 def moved(axis, result: StepResult) -> None:
     """Draw the handle moving to positive x, with falling or rising counts."""
     counts = result.arrays["moving"]
-    axis.plot(np.arange(len(counts)) / 1e3, counts / 1e3, color=BLUE)
+    axis.plot(np.arange(len(counts)) / 1e3, counts / 1e3, color=Colour.BLUE)
     axis.set(title="encoder: moved to positive x", xlabel="time (s)", ylabel="thousand counts")
 
 
 def pushed(axis, result: StepResult) -> None:
     """Draw two pushes, and the resulting motion, by the encoder's new sign."""
-    for number, colour in ((0, BLUE), (1, ORANGE)):
+    for number, colour in ((0, Colour.BLUE), (1, Colour.ORANGE)):
         force = result.arrays[f"force_n_{number}"]
         position = result.arrays[f"position_m_{number}"]
         begin = int(np.flatnonzero(force)[0])
@@ -50,8 +50,8 @@ def hung(axis, result: StepResult) -> None:
     weights = result.arrays["weights_n"]
     readings = result.arrays["readings_n"]
     slope, intercept = line(weights, readings.mean(axis=1)).values
-    axis.plot(weights, intercept + slope * weights, color=BLACK, linewidth=0.8)
-    for place, colour in ((0, BLUE), (1, ORANGE)):
+    axis.plot(weights, intercept + slope * weights, color=Colour.BLACK, linewidth=0.8)
+    for place, colour in ((0, Colour.BLUE), (1, Colour.ORANGE)):
         label = ("from positive x", "from negative x")[place]
         axis.plot(weights, readings[:, place], "o", color=colour, label=label)
     axis.set(title="motor: masses", xlabel="weight (N)", ylabel="commanded at rest (N)")
@@ -67,9 +67,9 @@ def found(axis, results: list[StepResult], rig: BlindRig) -> None:
     shown = [(known[name], true) for name, true in truths.items() if true]
     for row, (one, true) in enumerate(shown):
         ends = 100.0 * (np.array([one.low, one.value, one.high]) / true - 1.0)
-        axis.plot(ends[[0, 2]], [row, row], color=BLUE)
-        axis.plot(ends[1], row, "o", color=BLUE)
-    axis.axvline(0.0, color=BLACK, linewidth=0.8)
+        axis.plot(ends[[0, 2]], [row, row], color=Colour.BLUE)
+        axis.plot(ends[1], row, "o", color=Colour.BLUE)
+    axis.axvline(0.0, color=Colour.BLACK, linewidth=0.8)
     axis.set(title="measured, and true value", xlabel="difference (%)", xlim=(-6.0, 6.0))
     axis.set_yticks(range(len(shown)), [one.name for one, _ in shown], fontsize=7)
     axis.invert_yaxis()

@@ -22,10 +22,9 @@ from pages.markdown import replaced, table  # noqa: E402
 
 from hapticd.zwidth.report.style import (  # noqa: E402
     DEVICES,
-    FOREST,
-    GREY,
     WIDTH_IN,
     Axes,
+    Colour,
     axes,
     plain_axis,
     styled,
@@ -34,7 +33,7 @@ from hapticd.zwidth.report.style import (  # noqa: E402
 PAGE = DOCS / "remedies.md"
 KEPT = DOCS / "figures" / "remedies.json"
 FIGURE = DOCS / "figures" / "remedies.svg"
-LOOKS = (*DEVICES, {"color": GREY, "marker": "D"}, {"color": FOREST, "marker": "v"})
+LOOKS = (*DEVICES, {"color": Colour.GREY, "marker": "D"}, {"color": Colour.FOREST, "marker": "v"})
 SPREAD = 0.6  # of a line of the figure, over its devices
 SHOWN = (0.3, 30.0)  # ratios in the figure
 QUANTILES = (0.05, 0.5, 0.95)
@@ -178,7 +177,7 @@ def points(axis: Axes, found: dict[str, Rows], judged: str) -> None:
             middle = k[1:] / k[0]
         shown = np.maximum(middle, SHOWN[0])  # nan stays nan
         axis.plot(shown, lines, linestyle="", **LOOKS[place], label=device, clip_on=False)
-    axis.axvline(1.0, color=GREY, linewidth=0.8)
+    axis.axvline(1.0, color=Colour.GREY, linewidth=0.8)
     axis.set(xscale="log", xlim=SHOWN, xlabel="K over that of the first row")
     axis.set(ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names)
     plain_axis(axis.xaxis)

@@ -28,7 +28,6 @@ from examples.weir2008.run import conditions
 from hapticd.core.arrays import Flags, Floats
 from hapticd.model.blueprint import StateVariable
 from hapticd.model.model import Array, Model, Output, Outputs, frozen
-from hapticd.signal.passive_set import accepted
 from hapticd.signal.verdict import judge
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
@@ -131,10 +130,7 @@ def _passed(device: Display, level: float, points: Floats, seed: int) -> Flags:
     )  # fmt: skip
     calm = ~found.diverged & (found.max_force_n < SATURATED * device.force_limit_n)
     return np.array(
-        [
-            bool(calm[trial]) and accepted(judge(found.spectra(trial)), "within_90_deg")
-            for trial in range(len(points))
-        ]
+        [bool(calm[trial]) and judge(found.spectra(trial)).passes for trial in range(len(points))]
     )
 
 

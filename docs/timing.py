@@ -32,14 +32,14 @@ from benchmarks.timing import (  # noqa: E402
     rigid,
     tried_limit,
 )
-from hapticd.guard.bases import Conditions, Theorem  # noqa: E402
+from hapticd.model.bases import Conditions, Theorem  # noqa: E402
 from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
 from hapticd.model.scene import Scene  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
 from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, predicted_limit  # noqa: E402
 from hapticd.zwidth.outcomes import Point  # noqa: E402
-from hapticd.zwidth.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402
+from hapticd.zwidth.report.style import PREDICTED, WIDTH_IN, Colour, axes, styled  # noqa: E402
 from hapticd.zwidth.sources import display  # noqa: E402
 
 PAGE = DOCS / "timing.md"
@@ -153,12 +153,12 @@ def tried_line(row: Row, found: list[AxisLimit]) -> tuple[str, ...]:
 def drawn(axis, row: Row, found: list[AxisLimit]) -> None:
     """Draw a limit over the delay."""
     bounds = [theorem(row, delay) for delay in SHOWN]
-    axis.plot(SHOWN, bounds, color=BLUE, label="theorem")
+    axis.plot(SHOWN, bounds, color=Colour.BLUE, label="theorem")
     axis.plot(SHOWN, [prediction(row, delay) for delay in SHOWN], **PREDICTED, label="predicted")
     if row.has_law:
         bounds = [law(row.scene(delay), delay) for delay in SHOWN]
-        axis.plot(SHOWN, bounds, color=GREY, linewidth=0.8, label="b / (T/2 + delay + lags)")
-    axis.plot(DELAYS, [one.value for one in found], "o", color=BLACK, label="trials")
+        axis.plot(SHOWN, bounds, color=Colour.GREY, linewidth=0.8, label="b / (T/2 + delay + lags)")
+    axis.plot(DELAYS, [one.value for one in found], "o", color=Colour.BLACK, label="trials")
     axis.set(title=row.name, xlabel="delay, sample to force (periods)", ylabel=row.unit)
     axis.set(xlim=(0.0, 1.0), ylim=(0.0, None))
     axis.legend()

@@ -18,7 +18,7 @@ import numpy as np
 from support.narrow_modes import directions, drawn, edge
 from support.passive_hands import random_hands
 
-from hapticd.guard.bases import Conditions, Theorem
+from hapticd.model.bases import Conditions, Theorem
 from hapticd.model.coupled import GROWS, held_by
 from hapticd.model.loop import PAPER_FILTERS, radii, tick_of
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from hapticd.run.virtual import virtual_board
 from hapticd.settings.load import load
-from hapticd.zwidth.report.style import BLUE, ORANGE, WIDTH_IN, axes, styled
+from hapticd.zwidth.report.style import WIDTH_IN, Colour, axes, styled
 
 device = virtual_board()  # live: device = Client()
 print(device.status().state)
@@ -64,9 +64,9 @@ print(", ".join(records.dtype.names[:12]), "...")
 with styled():
     figure, (top, bottom) = axes(2, 1, WIDTH_IN, 3.6, sharex=True)
     time_s = (records["tick"] - records["tick"][0]) / 1e3
-    top.plot(time_s, 1e3 * records["position_m"], color=BLUE)
+    top.plot(time_s, 1e3 * records["position_m"], color=Colour.BLUE)
     top.set(ylabel="position (mm)", title="A spring of 200 N/m, pushed with 0.2 N at 5 Hz")
-    bottom.plot(time_s, records["force_n"], color=ORANGE)
+    bottom.plot(time_s, records["force_n"], color=Colour.ORANGE)
     bottom.set(ylabel="rendered force (N)", xlabel="time (s)")
 
 # %%

@@ -13,7 +13,7 @@ import numpy as np
 
 from hapticd.core.faults import BY_NUMBER
 from hapticd.run.lockstep import LockStepClient, scene_params
-from hapticd.zwidth.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
+from hapticd.zwidth.report.style import OFF, ON, WIDTH_IN, Colour, axes, styled
 
 device = LockStepClient(*scene_params("fig7"))  # live: device = Client()
 
@@ -58,7 +58,7 @@ with styled():
         at_s = (part["tick"] - records["tick"][0]) / 1e3
         top.plot(at_s, 1e3 * part["position_m"], color=look["color"], linewidth=0.6)
     top.set(ylabel="position (mm)", title="K = 250 N/m under the same noise")
-    bottom.plot(time_s, records["active_damping_ns_per_m"], color=BLUE)
+    bottom.plot(time_s, records["active_damping_ns_per_m"], color=Colour.BLUE)
     bottom.set(ylabel="damping (N s/m)", xlabel="time (s)")
 
 # %%

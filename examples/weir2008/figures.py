@@ -34,12 +34,11 @@ from examples.weir2008.run import (
     Peak,
     ReproduceResult,
 )
-from hapticd.signal.passive_set import open_ends, passive_set
+from hapticd.signal.passive_set import PassiveSet
 from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.passive_set import draw_predicted
 from hapticd.zwidth.report.style import (
-    BLACK,
     DEVICES,
     FINE,
     HOLLOW,
@@ -47,6 +46,7 @@ from hapticd.zwidth.report.style import (
     PREDICTED,
     WIDTH_IN,
     Axes,
+    Colour,
     Figure,
     Look,
     axes,
@@ -180,7 +180,7 @@ def _peak(axis: Axes, peak: Peak) -> None:
         (peak.frequency_hz, 2.6 * peak.size_ns_per_m),
         ha="center",
         fontsize="small",
-        arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 0.8},
+        arrowprops={"arrowstyle": "-|>", "color": Colour.BLACK, "linewidth": 0.8},
     )
 
 
@@ -190,7 +190,7 @@ def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03)
     """
     low, high = axis.get_xlim()
     ends = max(low, band_hz[0]), min(high, band_hz[1])
-    bracket: Look = {"color": BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
+    bracket: Look = {"color": Colour.BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
     axis.plot(
         ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket
     )
@@ -211,7 +211,7 @@ def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Fig
     names = list(PAPER)
     percent = 100.0 * TOLERANCE
     axis.axhspan(-percent, percent, color="#e4e4e4", zorder=0.4, label=f"±{percent:g} %")
-    axis.axhline(0.0, color=BLACK, linewidth=0.8)
+    axis.axhline(0.0, color=Colour.BLACK, linewidth=0.8)
     for place, device in enumerate(result.plan.devices):
         limits = [limit for limit in result.limits if limit.device == device]
         quantities = [f"{NAMES[limit.axis]}_{MODES[limit.level]}" for limit in limits]
@@ -225,7 +225,7 @@ def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Fig
         known = np.array([one.values.size > 0 or isnan(one.predicted) for one in limits])
         axis.errorbar(x, np.where(known, ours - 100.0, np.nan), abs(sd), label=device, **marked)
         draw_predicted(axis, x + BESIDE_GUESS, guess - 100.0, marked)
-    axis.plot([], [], "o", color=BLACK, label="predicted (hollow)", **HOLLOW)
+    axis.plot([], [], "o", color=Colour.BLACK, label="predicted (hollow)", **HOLLOW)
     axis.set_yscale("symlog", linthresh=20.0)
     axis.set_yticks(TICKS, [f"{tick:+d}" if tick else "0" for tick in TICKS])
     axis.set_xticks(range(len(names)), [_labelled(name) for name in names], fontsize="small")
@@ -265,7 +265,9 @@ def edges_figure(result: ReproduceResult, width_mm: float | None = None) -> Figu
                 **look,
             )
         printed = PAPER["K_max_on" if level else "K_max_off"]
-        axis.axhline(printed, color=BLACK, linewidth=0.8, label="the paper, its band is not stated")
+        axis.axhline(
+            printed, color=Colour.BLACK, linewidth=0.8, label="the paper, its band is not stated"
+        )
         axis.axvspan(0.8, WINDOW_HZ, label="below the reach of the window", **unseen)
         axis.set(
             xscale="log", xlim=(0.8, 12.5), xlabel="lower edge of the judged band (Hz)", title=words
@@ -344,7 +346,7 @@ def _flat(axis: Axes, found: GridResult) -> Any:
         axis.plot(
             1e3 * m, b, sign, color="white", markeredgecolor="black", markersize=size, label=words
         )
-    ends = open_ends(passive_set(AXES, np.where(found.passive, 1.0, -1.0)))
+    ends = PassiveSet.of(AXES, np.where(found.passive, 1.0, -1.0)).open_ends()
     cut = ", ".join(end for end in ends if end not in ("K min", "B min"))
     reach = f"The grid cuts the set at\n{cut}" if cut else "The grid reaches beyond the set"
     axis.set(

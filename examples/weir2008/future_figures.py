@@ -36,18 +36,14 @@ from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.report.envelope import keys, strip, weightiest
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BLACK,
-    BLUE,
-    FOREST,
     INTERVAL,
     OFF,
-    OLIVE,
     ON,
     PARTS,
     PREDICTED,
-    PURPLE,
     WIDTH_IN,
     Axes,
+    Colour,
     Figure,
     Look,
     axes,
@@ -59,9 +55,9 @@ from hapticd.zwidth.report.style import (
     simulated,
 )
 
-NEGATIVE: Look = {"color": FOREST, "linestyle": "-", "linewidth": 1.6}
-WITH_MASS: Look = {"color": PURPLE, "linestyle": "-", "linewidth": 2.2}  # B < 0 and M < 0
-ALONE: Look = {"color": BLACK, "linestyle": "-"}
+NEGATIVE: Look = {"color": Colour.FOREST, "linestyle": "-", "linewidth": 1.6}
+WITH_MASS: Look = {"color": Colour.PURPLE, "linestyle": "-", "linewidth": 2.2}  # B < 0 and M < 0
+ALONE: Look = {"color": Colour.BLACK, "linestyle": "-"}
 CASES = (
     ("off", OFF, "no active damping"),
     ("on", ON, f"{ADDED_NS_PER_M:g} N s/m active, B ≥ 0"),
@@ -73,7 +69,7 @@ LIMITS: tuple[tuple[str, str, float, Look], ...] = (
     ("largest B", "N s/m", 1.0, {"color": COLOURS["B > 0"], "marker": "s"}),
     ("smallest M", "g", 1e3, {"color": COLOURS["M < 0"], "marker": "^"}),
 )
-DISC: Look = {"color": BLACK, "marker": "o"}
+DISC: Look = {"color": Colour.BLACK, "marker": "o"}
 BY_TRIALS = f"by trials, {INTERVAL}"
 BAND = f"{LOW_HZ[0]:g}-{LOW_HZ[1]:g} Hz"
 CORNERS_HZ = (0.4, 600.0)
@@ -211,7 +207,7 @@ def free_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figu
             words,
         )
     bracket = mark(
-        f"{BAND}: mean, dB re 1 N s/m", color=BLACK, marker="|", markersize=7, linewidth=1.0
+        f"{BAND}: mean, dB re 1 N s/m", color=Colour.BLACK, marker="|", markersize=7, linewidth=1.0
     )
     _ends(axis)
     draw_bracket(axis, LOW_HZ)
@@ -253,7 +249,7 @@ def shape_figure(result: FutureWorkResult, width_mm: float | None = None) -> Fig
     )
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
-    undamped = mark("without active damping", color=BLACK, linestyle=OFF["linestyle"])
+    undamped = mark("without active damping", color=Colour.BLACK, linestyle=OFF["linestyle"])
     within = {"loc": "lower left"}
     legends(
         figure,
@@ -275,7 +271,7 @@ def _shares(axis: Axes, shaped: ShapedResult, corners: tuple[Corner, ...], words
         axis.axhline(
             scale * shaped.undamped.limits[place], color=look["color"], linestyle=OFF["linestyle"]
         )
-    axis.axhline(100.0, color=BLACK, linewidth=0.8)
+    axis.axhline(100.0, color=Colour.BLACK, linewidth=0.8)
     hertz_axis(axis, at[0] / 1.15, at[-1] * 1.15)
     axis.set(ylim=(0.0, 118.0), xlabel="corner (Hz)", title=words)
 
@@ -290,7 +286,7 @@ def _free(axis: Axes, shaped: ShapedResult) -> None:
             [each.corner_hz for each in corners],
             free_db,
             marker=sign,
-            color=BLUE,
+            color=Colour.BLUE,
             linewidth=0.9,
             label=words,
         )
@@ -351,19 +347,19 @@ def _volume(axis: Axes, result: FutureWorkResult) -> list[Any]:
     beside = axis.twinx()
     growth = levels.volume / levels.volume[0]
     lines = axis.plot(
-        levels.level, growth, color=BLACK, marker=".", label="volume of the set, predicted"
+        levels.level, growth, color=Colour.BLACK, marker=".", label="volume of the set, predicted"
     )
     axis.set(yscale="log", ylim=(0.1, None), ylabel="passive set\n(without active damping = 1)")
     plain_axis(axis.yaxis)
     lines += beside.plot(
         levels.level,
         levels.free_db,
-        color=OLIVE,
+        color=Colour.OLIVE,
         marker="x",
         label=f"free motion, mean |Z| in {BAND}",
     )
     beside.set(ylim=(-6.0, None))
-    beside.set_ylabel("free motion (dB re 1 N s/m)", color=OLIVE)
+    beside.set_ylabel("free motion (dB re 1 N s/m)", color=Colour.OLIVE)
     beside.grid(visible=False)
     beside.spines["right"].set_visible(True)
     return lines

@@ -57,7 +57,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import ShapedDamping
 from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system
 from hapticd.signal.compare import mean_over_ln_f
-from hapticd.signal.passive_set import Edge, grid, open_ends, passive_set, volume
+from hapticd.signal.passive_set import Edge, PassiveSet, grid
 from hapticd.signal.search import predicted_passive
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
@@ -645,8 +645,8 @@ def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, 
         np.linspace(0.0, b, STEPS[1]),
         np.linspace(m, -HEAVIEST * m + bench.display.model.mass_kg, STEPS[2]),
     )
-    found = passive_set(axes, bench.display.predicted(grid(axes), level).decided_margin)
-    return volume(found), tuple(end for end in open_ends(found) if end not in ("K min", "B min"))
+    found = PassiveSet.of(axes, bench.display.predicted(grid(axes), level).decided_margin)
+    return found.volume(), tuple(end for end in found.open_ends() if end not in ("K min", "B min"))
 
 
 def compared_with_grid(

@@ -46,7 +46,7 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import Impedance, impedance
-from hapticd.signal.passive_set import Envelope, accepted, grid, of_predicted
+from hapticd.signal.passive_set import Envelope, grid
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.limits import (
@@ -144,9 +144,7 @@ class SingleTrials:
     @property
     def passed(self) -> int:
         """Number of trials that were passive by the paper's rule."""
-        return sum(
-            trial is not None and accepted(trial.verdict, "within_90_deg") for trial in self.trials
-        )
+        return sum(trial is not None and trial.verdict.passes for trial in self.trials)
 
     @property
     def shown(self) -> Impedance | None:
@@ -447,7 +445,7 @@ def by_prediction(device: Display, level: float) -> GridResult | None:
     f = f[(f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])]
     shape = [axis.size for axis in AXES]
     return GridResult(
-        passive.reshape(shape), 0, 0, of_predicted(f, device.impedances(kept, level, f)), kept
+        passive.reshape(shape), 0, 0, Envelope.predicted(f, device.impedances(kept, level, f)), kept
     )
 
 

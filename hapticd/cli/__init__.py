@@ -1,10 +1,10 @@
 """The command line: each verb parses its arguments, calls one procedure, prints, and exits.
 
     app         all verbs under one name, `help`; errors become exit codes
-    terminal    shared options, output to stdout and stderr, the progress bar, figures on disk
+    terminal    imports that happen at the first use of a module; shared options, output to stdout
+                and stderr, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE arguments, receipts; numbers typed by people;
                 guard; lease: leases of the environment and the damping
-    deferred    imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
     monitor     the lines of status, live in a terminal; events
@@ -22,7 +22,7 @@ becomes one line and its exit code:
     0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
     6 requirement not met   78 configuration   130 interrupted
 
-Large modules are imported within `deferred.deferred_imports()` and loaded on first use, so that
+Large modules are imported within `terminal.deferred_imports()` and loaded on first use, so that
 `--help` and the small verbs stay quick: no module here may import numpy, pydantic, zmq or rich at
 its top in another way.
 """

@@ -19,14 +19,12 @@ import math
 import re
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
 from hapticd.client.formatting import (
     guard_line,
     known_words,
@@ -42,7 +40,7 @@ from hapticd.mailbox.layout import VALUE_LIMITS
 from hapticd.protocol.answers import Event, GuardStatus, GuardVerdict, LeaseHeld, Receipt
 from hapticd.protocol.limits import PLACES
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.core import process
 
@@ -364,7 +362,7 @@ def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     """Show the leases, their holders and the time left."""
     with connect(instance) as client:
         leases = client.status().leases
-    held = {what: asdict(one) for what, one in leases.items()}
+    held = {what: dataclasses.asdict(one) for what, one in leases.items()}
     lines = lease_lines(leases) or ["no client holds a lease: any client may change everything"]
     terminal.show({"leases": held}, lines, as_json)
 
@@ -392,7 +390,7 @@ def take(
         lease = client.lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
         held = lease.take()
         line = f"{_line(what, held)}; Ctrl-C releases it"
-        terminal.show({"what": what, **asdict(held)}, [line], as_json)
+        terminal.show({"what": what, **dataclasses.asdict(held)}, [line], as_json)
         while not ending:
             lease.sleep(min(SLICE_S, held.ttl_s / 2))
         lease.release()
@@ -410,7 +408,7 @@ def release(
         lease = client.lease(what, take_over=True)
         lease.take()
         lease.release()
-    held = {name: asdict(one) for name, one in before.items()}
+    held = {name: dataclasses.asdict(one) for name, one in before.items()}
     lines = [f"before: {line}" for line in lease_lines(before) or ["no client held a lease"]]
     lines.append(f"{what} may be changed by any client")
     terminal.show({"what": what, "before": held}, lines, as_json)

@@ -18,8 +18,6 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, guard_lines, lease_lines, number
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.formatting import (
     board_words,
     faults_off,
@@ -34,7 +32,7 @@ from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.mailbox.files import runtime_folder
 from hapticd.protocol.answers import Compensation, Delivered, Status, answer_of
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.client import fast_stop
@@ -121,7 +119,7 @@ def _ready_text(settings: "load.Settings", instance: str) -> str:
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
     if device.simulated:
-        banner = terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
+        banner = terminal.coloured(terminal.SIMULATED_BANNER, terminal.YELLOW)
         head = f"{banner}\n\nSIMULATED board: no force leaves this computer."
     else:
         board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."

@@ -27,18 +27,16 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.daemon import status_lines
-from hapticd.cli.deferred import deferred_imports
 from hapticd.client import fast_stop
 from hapticd.client.formatting import event_words
-from hapticd.core import units
 from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.process import die_with_parent
-from hapticd.core.units import NS_PER_S
+from hapticd.core.units import NS_PER_S, MonotonicClock
 from hapticd.mailbox.layout import State
 from hapticd.protocol.answers import Event, Status, answer_of
 
-with deferred_imports():
+with terminal.deferred_imports():
     import msgpack
     from rich import console as rich_console
     from rich import live as rich_live
@@ -148,7 +146,7 @@ def watch(instance: str, seconds: float | None, show: Callable[[View], None]) ->
 
     `seconds` None: until q is pressed.
     """
-    now_ns = units.MonotonicClock().now_ns
+    now_ns = MonotonicClock().now_ns
     begin_ns = now_ns()
     newest_ns = begin_ns  # arrival of the last record
     shown_ns = 0
@@ -271,7 +269,7 @@ def events(
     Stops at Ctrl-C. `hapticd run` prints the same lines in its own terminal.
     """
     die_with_parent(parent)
-    now_ns = units.MonotonicClock().now_ns
+    now_ns = MonotonicClock().now_ns
     begin_ns = now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
         rights = client.status().servo.get("realtime") or {}

@@ -23,13 +23,12 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.core.units import NS_PER_S
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import listener
     from hapticd.console import server
     from hapticd.protocol import keys

@@ -13,14 +13,13 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import changes, connect
-from hapticd.cli.deferred import deferred_imports
 from hapticd.core.environment import flat
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.layout import Value
 from hapticd.protocol.limits import PLACES
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.recording import file as files
     from hapticd.recording import pack, recorder
     from hapticd.zwidth import store

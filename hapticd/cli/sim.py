@@ -11,14 +11,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.core.errors import ConfigError
 from hapticd.core.process import on_stop
 from hapticd.core.units import MonotonicClock
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.model import compose, discrete
     from hapticd.model import scene as model_scene
     from hapticd.settings import build, load
@@ -74,7 +72,7 @@ def sim_run(
     """
     terminal.need_engine(plot)
     plan = scene_studies.plan_scene(scenes.load_scene(scene), seconds)
-    with progress(as_json) as tell:
+    with terminal.progress(as_json) as tell:
         result = scene_studies.run_scene(plan, tell)
     paths = []
     if plot:
@@ -159,7 +157,7 @@ def sim_effects(
     loaded = scenes.load_scene(scene)
     asked = effect_studies.EffectsParams(loaded, question, share(tolerance), seconds)
     plan = effect_studies.plan_effects(asked)
-    with progress(as_json) as tell:
+    with terminal.progress(as_json) as tell:
         result = effect_studies.run_effects(plan, time.process_time_ns, tell)
     paths = []
     if plot:
@@ -221,7 +219,7 @@ def accuracy(
     loaded = scenes.load_scene(scene)
     explicit = scene_studies.compare_integrators(loaded)
     plan = accuracies.plan_accuracy(loaded, scene, quick)
-    with progress(as_json) as tell:
+    with terminal.progress(as_json) as tell:
         result = accuracies.run_accuracy(plan, time.process_time_ns, tell)
     paths = []
     if plot:
@@ -281,7 +279,7 @@ def remedies(
     params = remedy_studies.RemediesParams(scenes_asked, quick=quick, seconds=seconds, seeds=seeds)
     folder = common.folder(out, "remedies")
     kept = store.TrialStore(folder / "trials.jsonl")
-    with common.keeping(kept, folder), progress(as_json) as tell:
+    with common.keeping(kept, folder), terminal.progress(as_json) as tell:
         rows = remedy_studies.run_remedies(params, kept, tell)
         energies = port_energy.run_port_energy(params, rows, kept, tell)
     found = {"simulated": True, "quick": quick, "seconds": seconds, "seeds": seeds}

@@ -16,14 +16,13 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.daemon import delay_words
-from hapticd.cli.deferred import deferred_imports
 from hapticd.client.formatting import late_words, timing_words
 from hapticd.core.errors import HapticdError, RealtimeError
 from hapticd.core.units import US_PER_S, unit_of
 from hapticd.mailbox.files import SERVO_JSON, runtime_folder
 from hapticd.protocol.answers import Status, answer_of
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.protocol import journal, leases
     from hapticd.recording import provenance
     from hapticd.run import supervisor

@@ -1,9 +1,24 @@
-"""Shared parts of the verbs: options, output, the progress bar, and figures on disk.
+"""Shared parts of the verbs: late imports, options, output, the progress bar, figures on disk.
 
 Data go to stdout, messages to stderr, errors are one line each. rich and matplotlib are loaded on
 first use.
+
+Late imports (`deferred_imports`). They happen when a module is first used, so that `--help` and
+small verbs start quickly.
+
+    with deferred_imports():
+        import numpy as np
+        from hapticd.zwidth import limits
+
+Each name bound there represents a module, which is imported at the first access to one of its
+names. So only whole modules can be deferred, not names of them, and a missing module is an error at
+its first use. No placeholder is in `sys.modules`: libraries that search all modules, like
+`inspect`, would load unneeded modules, in the middle of other imports.
+
+A package must not reuse the name of one of its modules.
 """
 
+import builtins
 import dataclasses
 import inspect
 import json
@@ -13,16 +28,60 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from importlib import import_module
 from pathlib import Path
+from threading import get_ident
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.core.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
+
+# --- late imports ---------------------------------------------------------------------------------
+
+
+class _Waiting(ModuleType):
+    """A module that is imported on first use."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+def _waiting(
+    name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+) -> ModuleType:
+    """Return the value bound by `import name`, or `from name import fromlist`. ImportError for
+    `import a.b`, which binds a.
+    """
+    if "." in name and not fromlist:
+        raise ImportError(f"import {name}: name it with `from`, so that it can wait")
+    found = _Waiting(name)
+    for one in fromlist or ():
+        setattr(found, one, _Waiting(f"{name}.{one}"))
+    return found
+
+
+@contextmanager
+def deferred_imports() -> Iterator[None]:
+    """Defer the imports within this context until first use."""
+    usual = builtins.__import__
+    here = get_ident()
+
+    def imported(
+        name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+    ) -> ModuleType:
+        act = _waiting if get_ident() == here else usual
+        return act(name, globals, locals, fromlist, level)
+
+    builtins.__import__ = imported
+    try:
+        yield
+    finally:
+        builtins.__import__ = usual
+
 
 with deferred_imports():
     from hapticd.settings import toml
@@ -66,7 +125,9 @@ def _with_single_options(function: Verb) -> Verb:
 
     def called(**given: Any) -> None:
         for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+            given[name] = group(
+                **{field.name: given.pop(field.name) for field in dataclasses.fields(group)}
+            )
         function(**given)
 
     single: list[inspect.Parameter] = []
@@ -80,7 +141,7 @@ def _with_single_options(function: Verb) -> Verb:
 
 
 def _is_group(parameter: inspect.Parameter) -> bool:
-    return is_dataclass(parameter.annotation)
+    return dataclasses.is_dataclass(parameter.annotation)
 
 
 BOLD = "1"  # SGR codes

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hapticd.client.sequence import AtRefusal, Step, StepReceipt
     from hapticd.core.params import BasisName, DampingMode, Policy
 
-__all__ = ["Ask", "Exchange", "Pause"]
+__all__ = ["Ask"]
 
 
 # result types, immediate or awaitable

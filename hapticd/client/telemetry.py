@@ -27,7 +27,7 @@ from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdEr
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.daemons import down, instance_of, press_stop
 from hapticd.mailbox.files import COMMAND_SOCKET
-from hapticd.protocol.answers import Event, Receipt, answer_of, verdict_of
+from hapticd.protocol.answers import Event, GuardVerdict, Receipt, answer_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
@@ -148,7 +148,10 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
     if code == "servo_down":
         raise DaemonDown(error.get("message", "the servo does not run"))
     reason = error.get("message", "no reason given")
-    raise CommandError(code, reason, error.get("detail"), verdict_of(error.get("guard")))
+    verdict = error.get("guard")
+    raise CommandError(
+        code, reason, error.get("detail"), verdict and answer_of(GuardVerdict, verdict)
+    )
 
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:

@@ -10,7 +10,7 @@ modules of the standard library. The package imports nothing by itself.
                  time stamps
     errors       the one error tree
     faults       every reason for which the servo leaves `enabled` by itself, with its remedy
-    process      the end of a process of hapticd, and its notifications to systemd
+    process      the start and the end of a process of hapticd
     arrays       array types and aligned arrays, in numpy
     extras       optional libraries, and how to install a missing one
     lazy         names of a package that are loaded on first use

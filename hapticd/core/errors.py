@@ -145,8 +145,10 @@ class AnalysisError(HapticdError):
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command. `guard` is the guard's verdict on it, if there is one: a
-    `GuardVerdict` for a client, in the gateway the map that is sent.
+    """The daemon refused a command. `code` is the reason, such as `invalid`, `busy`, `stopped`,
+    `leased`, `guard` or, for a refusal of the servo, `refused_late`, `refused_not_homed`,
+    `refused_revision`: the names of `mailbox.layout.Result`. `guard` is the guard's verdict on it,
+    if there is one: a `GuardVerdict` for a client, in the gateway the map that is sent.
     """
 
     def __init__(self, code: str, message: str, detail: object = None, guard: Any = None) -> None:

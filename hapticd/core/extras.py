@@ -19,7 +19,7 @@ from typing import Any
 
 from hapticd.core.errors import MissingLibrary
 
-__all__ = ["install_command", "need", "requirement", "requirements"]
+__all__ = ["need", "requirements"]
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LAB = {"numba", "matplotlib"}  # installed by `make lab`

@@ -8,7 +8,7 @@ that one field shows why the force is off.
 
 from typing import NamedTuple
 
-__all__ = ["BY_CODE", "BY_NUMBER", "FAULTS", "FROM_GATEWAY", "Fault"]
+__all__ = ["BY_CODE", "BY_NUMBER", "FAULTS", "Fault"]
 
 
 class Fault(NamedTuple):
@@ -198,5 +198,3 @@ FAULTS: tuple[Fault, ...] = (
 
 BY_CODE = {fault.code: fault for fault in FAULTS}
 BY_NUMBER = {fault.number: fault for fault in FAULTS}
-# faults that the gateway may detect and request
-FROM_GATEWAY = frozenset({BY_CODE["damping_not_delivered"].number})

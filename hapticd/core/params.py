@@ -33,6 +33,7 @@ __all__ = [
     "CALIBRATION_DAYS",
     "COMMISSIONING_SHARE",
     "ENERGY_LIMIT_J",
+    "LEAST_IDLE_SHARE",
     "LONGEST_LEASE_S",
     "LONGEST_TIMEOUT_MS",
     "MOST_CORRECTION",
@@ -62,7 +63,6 @@ __all__ = [
     "InjectionParams",
     "LeaseParams",
     "Leased",
-    "MeasuredBy",
     "MeasuredLevel",
     "MeasuredParams",
     "ModelParams",
@@ -72,6 +72,7 @@ __all__ = [
     "Policy",
     "RealtimeParams",
     "ResistanceParams",
+    "RigStep",
     "RotorForce",
     "SafetyParams",
     "ScaleParams",
@@ -115,9 +116,9 @@ RigStep = Literal[
     "rig identify",
 ]
 RIG_STEPS: tuple[str, ...] = get_args(RigStep)
-MeasuredBy = Literal[RigStep, "paper", ""]
 # between a measured scale and the board's nominal one; more means a wrong unit, range or board
 MOST_CORRECTION = 1.5
+LEAST_IDLE_SHARE = 0.25  # of a period, required idle time of a tick
 
 
 @dataclass(frozen=True, slots=True)

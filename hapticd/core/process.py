@@ -1,7 +1,6 @@
-"""Common behaviour of every hapticd process: its end, and its notifications to systemd.
+"""Common behaviour of every hapticd process: its start and its end.
 
-A process ends with its parent, and on SIGINT and SIGTERM alike. systemd receives one datagram on
-the socket that it provides; without systemd nothing is sent.
+A process ends with its parent, and on SIGINT and SIGTERM alike.
 
 Signals must be handled in the main thread: Python runs handlers there.
 """
@@ -14,12 +13,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hapticd.core.units import NS_PER_US, Clock
-
 if TYPE_CHECKING:
     import subprocess
 
-__all__ = ["Feeder", "die_with_parent", "feeding_period_ns", "launch", "notify", "on_stop"]
+__all__ = ["die_with_parent", "launch", "on_stop"]
 
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
@@ -66,42 +63,3 @@ def on_stop(handler: Callable[[], None]) -> None:
     """Call `handler` on SIGINT and SIGTERM, also in a background job that ignores SIGINT."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda _signal, _frame: handler())
-
-
-def notify(*lines: str) -> None:
-    """Send `lines` to $NOTIFY_SOCKET, if it is set.
-
-    hapticd sends READY=1, STATUS=..., WATCHDOG=1 and STOPPING=1.
-    """
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    import socket  # a process without systemd does not load it
-
-    if address.startswith("@"):
-        address = f"\0{address[1:]}"  # a socket in the abstract namespace
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as service:
-        service.sendto("\n".join(lines).encode(), address)
-
-
-def feeding_period_ns() -> int:
-    """Return a quarter of the interval of systemd's watchdog between two WATCHDOG=1; 0
-    without one.
-    """
-    return int(os.environ.get("WATCHDOG_USEC", "0")) * NS_PER_US // 4
-
-
-class Feeder:
-    """Feed the watchdog of a process that calls `feed` often, and no more often than needed."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._period_ns = feeding_period_ns()
-        self._fed_ns = 0
-
-    def feed(self) -> None:
-        """Send WATCHDOG=1 if due; nothing without a watchdog."""
-        now_ns = self._clock.now_ns()
-        if self._period_ns and now_ns - self._fed_ns >= self._period_ns:
-            self._fed_ns = now_ns
-            notify("WATCHDOG=1")

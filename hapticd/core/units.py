@@ -13,7 +13,6 @@ from abc import ABC, abstractmethod
 
 __all__ = [
     "COPPER_PER_K",
-    "MS_PER_S",
     "NS_PER_MS",
     "NS_PER_S",
     "NS_PER_US",
@@ -28,7 +27,6 @@ __all__ = [
 ]
 
 NS_PER_S = 1_000_000_000
-MS_PER_S = 1000
 US_PER_S = 1_000_000
 NS_PER_US = 1_000
 NS_PER_MS = 1_000_000

@@ -9,8 +9,7 @@ It renders no force and may be killed at any time.
     server            the event loop; the sockets; the endpoints file
     peers             connections, and the bounds on each; the protocol of ZeroMQ, one side of a
                       connection
-    relay             a separate process for subscribers with a key
-    relay_supervisor  starts the relay, and reports refused connections
+    relay             a separate process for subscribers with a key; its start, and refused clients
     command_server    requests in, replies out
     lease_server      the effects of leases at the servo; the transfer of the perturbation waveform
                       to the servo

@@ -25,15 +25,7 @@ from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import Leases
-from hapticd.protocol.telemetry import (
-    Feed,
-    Origin,
-    ProbeDecoder,
-    RingBlock,
-    Subscriptions,
-    raw_message,
-    servo_messages,
-)
+from hapticd.protocol.telemetry import Feed, Origin, ProbeDecoder, RingBlock, Subscriptions
 from hapticd.protocol.view import STATES, Ledger, Records, ServoView
 
 __all__ = ["state_map"]
@@ -370,12 +362,12 @@ class Publisher:
         found: list[Message] = []
         if "servo" in wanted:
             energies = self._ledger.take(block.records)
-            payloads = servo_messages(block, energies, self._origin, self._batch)
+            payloads = block.batches(energies, self._origin, self._batch)
             found += [("servo", payload) for payload in payloads]
         else:
             self._ledger.defer(block.records)
         if "servo.raw" in wanted:
-            found.append(("servo.raw", raw_message(block, self._origin)))
+            found.append(("servo.raw", block.message(self._origin)))
         if "probe" in wanted:
             found += [("probe", payload) for payload in self._probe.messages(block, self._origin)]
         else:

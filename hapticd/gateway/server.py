@@ -44,7 +44,6 @@ from hapticd.core.params import GatewayParams, GatewaySetup, to_plain
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from hapticd.gateway import peers
 from hapticd.gateway.command_server import CommandServer
-from hapticd.gateway.peers import Port
 from hapticd.gateway.publisher import Publisher
 from hapticd.guard.status import Guard
 from hapticd.guard.worker import Start, Worker
@@ -66,7 +65,7 @@ from hapticd.protocol.telemetry import TOPICS
 from hapticd.protocol.view import ServoView
 
 if TYPE_CHECKING:
-    from hapticd.gateway.relay_supervisor import RelaySupervisor
+    from hapticd.gateway.relay import RelaySupervisor
 
 __all__ = ["run"]
 
@@ -102,8 +101,10 @@ class Sockets:
         self.warnings: list[tuple[EventCode, dict[str, Any]]] = []
         if leases.in_the_clear(params):
             self.warnings.append(("telemetry_open", {"address": params.tcp_host}))
-        self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
-        self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
+        self.command = peers.Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
+        self.telemetry = peers.Port(
+            b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone
+        )
         self.relay: RelaySupervisor | None = None
         try:
             self.endpoints = self._bound(params, setup.servo.instance)
@@ -137,7 +138,7 @@ class Sockets:
     def _guarded(
         self, source: str, listener: socket.socket, endpoint: str, params: GatewayParams
     ) -> "RelaySupervisor":
-        from hapticd.gateway.relay_supervisor import RelaySupervisor  # libzmq, for it alone
+        from hapticd.gateway.relay import RelaySupervisor  # libzmq, for it alone
 
         return RelaySupervisor(
             source, listener, endpoint, Path(params.curve_keys or ""), self._selector
@@ -159,7 +160,7 @@ class Sockets:
         remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)
 
 
-def listen_at(port: Port, path: Path) -> str:
+def listen_at(port: peers.Port, path: Path) -> str:
     """Let `port` listen at a socket file; return its endpoint.
 
     ConfigError: the path is too long for a socket. MailboxError: the file cannot be created.

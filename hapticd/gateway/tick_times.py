@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.core.params import DeviceParams
+from hapticd.core.params import LEAST_IDLE_SHARE, DeviceParams
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import STAGES, LateCause
-from hapticd.protocol.answers import LEAST_IDLE_SHARE, Room
+from hapticd.protocol.answers import Room
 from hapticd.protocol.view import Records, joined
 from hapticd.render.winding import LEAST_LOOP_GAIN, loop_gain, ohm
 

@@ -24,19 +24,10 @@ from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.mailbox.layout import Flag
 from hapticd.protocol.view import CONTEXT, Records, joined, samples
 from hapticd.signal.delivered import (
-    ACCELERATION,
-    COLUMNS,
-    FORCE,
-    MOTOR,
-    NOTHING,
-    ONE,
-    RATE,
-    SEEN,
     SIMPSON,
-    VELOCITY,
-    VOLTAGE,
     WINDOW,
     Block,
+    Column,
     Estimate,
     estimate,
 )
@@ -56,7 +47,7 @@ LOW_BLOCKS = 12  # consecutive: 3 s
 NOT_BELIEVED = int(Flag.MISSING_IN | Flag.SEEDED | Flag.DOUBTED | Flag.GLITCH | Flag.INTERPOLATED)
 
 NO_DEVICE = "unknown: the device file has no force per ampere"
-NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
+NO_BLOCK = Block(np.zeros((len(Column), len(Column))), np.zeros((len(Column), len(Column))))
 
 
 class Shortfall(NamedTuple):
@@ -91,7 +82,7 @@ class Delivered:
     def begin(self) -> None:
         """Start again, for a new servo life."""
         self._blocks: deque[Block] = deque(maxlen=KEPT)
-        self.estimate = NOTHING
+        self.estimate = Estimate()
         self._levels = np.zeros(2)
         self._low = 0
         self._warned = False
@@ -126,7 +117,7 @@ class Delivered:
     def _block(self, records: Records) -> list[Shortfall]:
         commanded = float(records["active_damping_ns_per_m"][-1])
         if self._servo.device.motor_n_per_a <= 0.0:
-            self.estimate = NOTHING._replace(basis=NO_DEVICE, commanded=commanded)
+            self.estimate = Estimate(basis=NO_DEVICE, commanded=commanded)
             return []
         seen = records if self._seen is None else joined((self._seen, records))
         self._seen = seen[-CONTEXT:].copy()
@@ -240,20 +231,20 @@ def _products(
     """Return sums of products of samples, and of means over the windows at `places` (n, WINDOW +
     1).
     """
-    fine = np.zeros((len(places) * WINDOW, COLUMNS))
-    coarse = np.zeros((len(places), COLUMNS))
+    fine = np.zeros((len(places) * WINDOW, len(Column)))
+    coarse = np.zeros((len(places), len(Column)))
     for column, values in (
-        (FORCE, path.force_n),
-        (RATE, path.rate_n_per_s),
-        (ONE, np.ones(len(records))),
-        (SEEN, records["emf_velocity_m_per_s"].astype(float)),
-        (MOTOR, motor_n),
-        (VOLTAGE, records["voltage_v"].astype(float)),
+        (Column.FORCE, path.force_n),
+        (Column.RATE, path.rate_n_per_s),
+        (Column.ONE, np.ones(len(records))),
+        (Column.SEEN, records["emf_velocity_m_per_s"].astype(float)),
+        (Column.MOTOR, motor_n),
+        (Column.VOLTAGE, records["voltage_v"].astype(float)),
     ):
         fine[:, column] = values[places[:, 1:]].ravel()
         coarse[:, column] = values[places] @ SIMPSON
     x = records["position_m"][places]
-    coarse[:, VELOCITY] = (x[:, -1] - x[:, 0]) / (WINDOW * period_s)
+    coarse[:, Column.VELOCITY] = (x[:, -1] - x[:, 0]) / (WINDOW * period_s)
     faster_m = (x[:, -1] - x[:, -2]) - (x[:, 1] - x[:, 0])
-    coarse[:, ACCELERATION] = faster_m / ((WINDOW - 1) * period_s**2)
+    coarse[:, Column.ACCELERATION] = faster_m / ((WINDOW - 1) * period_s**2)
     return Block(fine.T @ fine, coarse.T @ coarse)

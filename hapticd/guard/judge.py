@@ -2,15 +2,15 @@
 
 Plane (`plane`). It is the range of B at which each K is stable in every passive hand. A plane has
 one virtual mass, one pair of filters and one level of active damping. The basis of the guard
-(`bases`) judges a grid of K and B, so a picture of the plane agrees with the guard's verdicts. For
-each K the safe values of B are taken as one interval, the longest run. The set of the theorem is
-convex for a rigid device. At one delay it was an interval in B for all devices that were examined.
-Limitations: an interval of B narrower than a step of the grid is not found.
+(`model.bases`) judges a grid of K and B, so a picture of the plane agrees with the guard's
+verdicts. For each K the safe values of B are taken as one interval, the longest run. The set of the
+theorem is convex for a rigid device. At one delay it was an interval in B for all devices that were
+examined. Limitations: an interval of B narrower than a step of the grid is not found.
 
 Answers (`Judge`). It takes and returns plain maps (docs/guard.md). It judges a `change` at its end
 and at up to 20 points of its path (`transition_planner`). It does so in free space and in contact
-(`safe_region`), on the requested basis (`bases`); the policy selects the answer (`policies`). A
-`look` returns the verdict on the environment in force and the cost of the delay. A `hand` returns
+(`safe_region`), on the requested basis (`model.bases`); the policy selects the answer (`policies`).
+A `look` returns the verdict on the environment in force and the cost of the delay. A `hand` returns
 the passive hand that destabilises an environment. The answer depends on request and setup alone:
 tests and lock-step runs rely on it.
 """
@@ -26,7 +26,6 @@ from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import EnvironmentLimits, GuardSetup
-from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.guard.policies import answer_change
 from hapticd.guard.safe_region import (
     IDEAL_PERIODS,
@@ -39,6 +38,7 @@ from hapticd.guard.safe_region import (
 )
 from hapticd.guard.transition_planner import from_message
 from hapticd.model.angles import unresolved_hz
+from hapticd.model.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because

@@ -13,6 +13,7 @@ its end. The end has the negative number of the command. A change must not be ke
 has ended: every later verdict would count it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,12 +25,21 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting, forbidden
-from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode
+from hapticd.protocol.journal import (
+    GATEWAY_ACTOR,
+    EventCode,
+    Explanation,
+    Outcome,
+    Reason,
+    Remedy,
+    because,
+    explanation_of,
+)
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 from hapticd.protocol.view import ServoView
 
-__all__ = ["Fields", "Outstanding", "Pending", "PendingChange", "ScheduledChanges", "ends_force"]
+__all__ = ["Outstanding", "Pending", "PendingChange", "ends_force"]
 
 # --- requests -------------------------------------------------------------------------------------
 
@@ -86,6 +96,38 @@ class PendingChange:
     def strict(self) -> bool:
         """Whether its client requests judgement under `refuse`, the strictest policy."""
         return isinstance(self.request, Judged) and self.request.strict
+
+    def refused(self, why: Explanation) -> CommandError:
+        """Return its refusal without a verdict."""
+        verdict = self.verdict | why.plain(Outcome.REFUSED) | {"cmd": self.cmd}
+        return CommandError("guard", f"{self.cmd}: {verdict['text']}", guard=verdict)
+
+    def unknown_refused(self) -> CommandError:
+        """Return its refusal by a strict policy, with the policy that would accept it."""
+        remedy = "`hapticd guard warn` would apply it anyway"
+        if self.strict:
+            remedy = "under `warn` a client that is not strict could apply it anyway"
+        why = explanation_of(self.verdict)
+        why = why.and_reason(Reason.POLICY, f"policy {self.policy} refuses that")
+        return self.refused(why.and_remedy(Remedy.POLICY, remedy))
+
+    def verdict_beside(
+        self, answer: dict[str, Any] | None, unknown: Callable[[str], dict[str, Any]], late: str
+    ) -> dict[str, Any]:
+        """Return the verdict on a change that was posted at once. `answer` None: the worker was
+        `late`. `unknown` makes the verdict without a judgement, from its reason.
+        """
+        verdict = answer.get("verdict") if answer else None
+        if answer is None or not isinstance(verdict, dict):
+            return unknown(
+                f"the guard's worker answered: {answer.get('error')}" if answer else late
+            )
+        if answer.get("action") == "stage" and verdict.get("safe"):
+            stages = because(Reason.ONLY_IN_STAGES, "the path is passive only in stages")
+            known = explanation_of(verdict)
+            both = Explanation(stages.reasons + known.reasons, known.remedies)
+            verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
+        return {"safe": None, "text": "", **verdict, "number": self.number, "cmd": self.cmd}
 
 
 def forbidden_by(leases: Leases, change: PendingChange) -> CommandError | None:

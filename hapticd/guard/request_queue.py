@@ -39,7 +39,6 @@ from hapticd.guard.pending import (
     former,
     stages_of,
 )
-from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
 from hapticd.guard.stages import ChangeReply, StagedChange
 from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
@@ -161,7 +160,7 @@ class GuardedQueue:
             return
         self._beside = None
         guard.forget(change.number)
-        change.verdict = verdict_beside(change, answer, guard, self._late())
+        change.verdict = change.verdict_beside(answer, guard.unknown, self._late() or guard.trouble)
         if change.verdict["safe"] is False:
             self._want_hand(change)
         if change.held is not None and (reply := self.answered(change, change.held, now_ns)):
@@ -489,10 +488,10 @@ class GuardedQueue:
         reason = "policy off judges nothing" if off else why or guard.trouble
         change.verdict = guard.unknown(reason, change.policy)
         if self._must(change) and not ends_force(change.request, guard.in_force.target()):
-            raise unknown_refused(change)
+            raise change.unknown_refused()
         if change.request.auto:
             text = "the guard chooses no level of active damping while it judges nothing"
-            raise refused(change, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
+            raise change.refused(because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         change.revision = None
         change.stages = ()
         if not change.at_tick and not change.enables:

@@ -2,8 +2,8 @@
 
 Region (`SafeRegion`). It gives the safe environments, their margin, and the allowed ranges of K, B
 and M. It also gives the passive range of each parameter alone, and the stiffness that the delay
-costs. An environment is safe if the basis (`bases`) judges its K, B, M safe in free space and in
-its wall, at each delay considered. The grid for a range gets finer towards the environment's own
+costs. An environment is safe if the basis (`model.bases`) judges its K, B, M safe in free space and
+in its wall, at each delay considered. The grid for a range gets finer towards the environment's own
 value. Each end is then refined between its last two grid points. Limitations: a delay that changes
 from tick to tick; a hand that makes and breaks contact with the wall in step with its motion,
 because each side is judged separately; a device that renders nothing of one axis alone, and much of
@@ -25,9 +25,9 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
 from hapticd.core.params import EnvironmentLimits, GuardSetup
-from hapticd.guard.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.guard.transition_planner import AXES
 from hapticd.mailbox.client_side import WIDEST
+from hapticd.model.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because

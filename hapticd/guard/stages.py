@@ -91,7 +91,7 @@ class StagedChange:
         expected = request.given.get("if_rev")
         if expected is not None and expected != self._view.revision:
             text = f"{change.cmd}: the revision is {self._view.revision} by now, not {expected}"
-            error = CommandError("refused", f"{text}; check the change and ask again")
+            error = CommandError("refused_revision", f"{text}; check the change and ask again")
             self._replies.append(ChangeReply(change, error))
             return
         change.place = 0

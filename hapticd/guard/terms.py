@@ -142,7 +142,6 @@ class TermsKeeper:
                 asked=before.plain(),
                 configured=self._configured.plain(),
                 terms=terms.plain(),
-                mode="auto" if terms.auto else "",
             )
         return terms
 

@@ -21,12 +21,9 @@ from hapticd.core.errors import MailboxError
 from hapticd.core.params import EnvironmentLimits
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import Report
-from hapticd.mailbox.files import word_access
-from hapticd.mailbox.layout import VALUE_LIMITS, Value, ValueLimit
 
 __all__ = [
     "AXES",
-    "UNKNOWN",
     "WIDEST",
     "Answer",
     "Checkpoint",
@@ -37,19 +34,18 @@ __all__ = [
 
 # --- limits on K, B and M -------------------------------------------------------------------------
 ROOM = 10.0
-AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}
+AXES = {"K": layout.Value.STIFFNESS, "B": layout.Value.VIRTUAL_DAMPING, "M": layout.Value.MASS}
 # for an unknown or empty passive range: at least three times the passive range of any shipped
 # device
-STATED: dict[str, ValueLimit] = {
-    "K": ValueLimit(-1e3, 5e4, "N/m"),
-    "B": ValueLimit(-5e1, 2e2, "N s/m"),
-    "M": ValueLimit(-0.5, 1.0, "kg"),
+STATED: dict[str, layout.ValueLimit] = {
+    "K": layout.ValueLimit(-1e3, 5e4, "N/m"),
+    "B": layout.ValueLimit(-5e1, 2e2, "N s/m"),
+    "M": layout.ValueLimit(-0.5, 1.0, "kg"),
 }
 WIDEST = EnvironmentLimits(
-    tuple(VALUE_LIMITS[place].low for place in AXES.values()),
-    tuple(VALUE_LIMITS[place].high for place in AXES.values()),
+    tuple(layout.VALUE_LIMITS[place].low for place in AXES.values()),
+    tuple(layout.VALUE_LIMITS[place].high for place in AXES.values()),
 )
-UNKNOWN: Mapping[str, Sequence[float] | None] = {}
 
 
 def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> EnvironmentLimits:
@@ -62,7 +58,7 @@ def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> Environ
 
 def _ends(axis: str, passive: Sequence[float]) -> tuple[float, float]:
     stated = STATED[axis]
-    widest = VALUE_LIMITS[AXES[axis]]
+    widest = layout.VALUE_LIMITS[AXES[axis]]
     low = ROOM * passive[0] if passive[0] < 0.0 else stated.low
     high = ROOM * passive[1] if passive[1] > 0.0 else stated.high
     return max(_shown(low), widest.low), min(_shown(high), widest.high)
@@ -148,7 +144,7 @@ class GatewayMailbox:
         self._inode = self._inode_now()
         self._map = files.open_map(self.folder / files.MAILBOX, layout.MAILBOX_BYTES)
         self.words = memoryview(self._map).cast("Q")
-        self.store, self.load = word_access(self.words)
+        self.store, self.load = files.word_access(self.words)
         magic, layout_hash, pid, start_ns, rate_hz, config_hash, simulated = (
             layout.HEADER.unpack_from(self._map, 0)
         )
@@ -175,7 +171,7 @@ class GatewayMailbox:
         )
         self._ring = files.open_map(self.folder / files.TELEMETRY, layout.TELEMETRY_BYTES)
         self.ring = memoryview(self._ring)
-        _, self.load_head = word_access(self.ring.cast("Q"))
+        _, self.load_head = files.word_access(self.ring.cast("Q"))
         self._wave = files.open_map(
             self.folder / files.PERTURBATION,
             layout.PERTURBATION_HEADER + 2 * layout.PERTURBATION_SAMPLES,

@@ -58,7 +58,6 @@ from typing import Any, NamedTuple
 
 from hapticd.core.errors import DaemonDown, MailboxError
 from hapticd.mailbox import files
-from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
 
 __all__ = [
     "ACTOR_STOP_WORD",
@@ -253,7 +252,7 @@ class RuntimeFolder(NamedTuple):
     instance: str
 
 
-def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
+def daemon_folder(instance: str = files.DEFAULT_INSTANCE) -> Path:
     """Return the folder of the daemon `instance`: this user's own, or otherwise the system
     service's.
 
@@ -264,10 +263,10 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     return folder
 
 
-def untrusted_daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
+def untrusted_daemon_folder(instance: str = files.DEFAULT_INSTANCE) -> Path:
     """Return the folder as `daemon_folder`, without requiring that it is trusted."""
     own = files.runtime_folder(instance)
-    if instance != DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
+    if instance != files.DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
         return own
     try:
         require_trusted(own)
@@ -283,13 +282,13 @@ def runtime_folders(instance: str | None) -> list[RuntimeFolder]:
     """
     found: list[RuntimeFolder] = []
     for base in _bases():
-        if instance in (None, DEFAULT_INSTANCE):
-            found.append(RuntimeFolder(base, DEFAULT_INSTANCE))
+        if instance in (None, files.DEFAULT_INSTANCE):
+            found.append(RuntimeFolder(base, files.DEFAULT_INSTANCE))
         names = _instances(base) if instance is None else [instance]
         found += [
-            RuntimeFolder(base / f"{INSTANCE_PREFIX}{name}", name)
+            RuntimeFolder(base / f"{files.INSTANCE_PREFIX}{name}", name)
             for name in names
-            if name != DEFAULT_INSTANCE
+            if name != files.DEFAULT_INSTANCE
         ]
     return found
 
@@ -309,7 +308,9 @@ def _instances(base: Path) -> list[str]:
     except (OSError, MailboxError):
         return []
     return [
-        name.removeprefix(INSTANCE_PREFIX) for name in entries if name.startswith(INSTANCE_PREFIX)
+        name.removeprefix(files.INSTANCE_PREFIX)
+        for name in entries
+        if name.startswith(files.INSTANCE_PREFIX)
     ]
 
 
@@ -317,7 +318,7 @@ def require_trusted(folder: Path) -> None:
     """Return if `folder` does not exist or is trusted; otherwise raise MailboxError with
     its name.
     """
-    steps = (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,)
+    steps = (folder.parent, folder) if folder.name.startswith(files.INSTANCE_PREFIX) else (folder,)
     for step in steps:
         if not os.path.lexists(step):
             return
@@ -352,7 +353,9 @@ def is_running(folder: Path) -> bool:
 def running() -> tuple[str, ...]:
     """Return the instances that are alive at the places where a client searches."""
     return tuple(
-        name for name in (DEFAULT_INSTANCE, *_instances(files.runtime_folder())) if _reached(name)
+        name
+        for name in (files.DEFAULT_INSTANCE, *_instances(files.runtime_folder()))
+        if _reached(name)
     )
 
 
@@ -365,7 +368,7 @@ def _reached(instance: str) -> bool:
 
 def down(where: str, instance: str | None, more: str = "") -> DaemonDown:
     """Return the error for `instance` (None: any) without a daemon at `where`."""
-    known = instance in (None, DEFAULT_INSTANCE)
+    known = instance in (None, files.DEFAULT_INSTANCE)
     command = "hapticd run" if known else f"hapticd run --instance {instance}"
     others = running()
     listed = f"; running: {', '.join(others)}" if others else ""
@@ -378,7 +381,9 @@ def instance_of(folder: Path) -> str:
     """Return the name of the daemon whose runtime folder is `folder`."""
     name = folder.name
     return (
-        name.removeprefix(INSTANCE_PREFIX) if name.startswith(INSTANCE_PREFIX) else DEFAULT_INSTANCE
+        name.removeprefix(files.INSTANCE_PREFIX)
+        if name.startswith(files.INSTANCE_PREFIX)
+        else files.DEFAULT_INSTANCE
     )
 
 

@@ -177,7 +177,7 @@ class Command(IntEnum):
     HOME = 8
     PERTURB_START = 9
     PERTURB_STOP = 10
-    FAULT = 11  # one of `faults.FROM_GATEWAY`
+    FAULT = 11  # one of FROM_GATEWAY (servo.commands)
     # cancel scheduled changes of the masked places by other actors; nothing else changes
     CANCEL = 12
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)

@@ -15,7 +15,6 @@ from typing import Any
 
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import StopWord
-from hapticd.mailbox.files import word_access
 
 __all__ = ["ServoMailbox"]
 
@@ -44,8 +43,8 @@ class ServoMailbox:
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.ring = memoryview(self._ring)
         self.ring_words = self.ring.cast("Q")
-        self.store, self.load = word_access(self.words)
-        self.publish_head, _ = word_access(self.ring_words)
+        self.store, self.load = files.word_access(self.words)
+        self.publish_head, _ = files.word_access(self.ring_words)
         values = (
             layout.MAGIC,
             layout.LAYOUT_HASH,

@@ -33,4 +33,5 @@ The sampled loop:
     coupled      `withstands`, `shaking_hand`: stability in passive hands; `forecast`: all of these
                  for one environment
     predict      `predict`, `predicted_impedance`: passivity without a trial
+    bases        Theorem, Predicted, Measured: the grounds on which an environment is safe
 """

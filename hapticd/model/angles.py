@@ -42,7 +42,7 @@ from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.model.loop import port_states
 from hapticd.model.model import Model
 
-__all__ = ["FIXED", "angles_of", "held_poles", "least_between", "unresolved_hz", "vertices"]
+__all__ = ["unresolved_hz"]
 
 # --- angles and the minimum between them ----------------------------------------------------------
 

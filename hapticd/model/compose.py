@@ -41,7 +41,7 @@ import numpy as np
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import PlantParams
-from hapticd.model.blueprint import ZERO, Blueprint, Form
+from hapticd.model.blueprint import ZERO, Blueprint, Form, InputColumns
 from hapticd.model.discrete import (
     computable,
     discretise,
@@ -63,7 +63,6 @@ from hapticd.model.model import (
     Contact,
     DriveLimits,
     Ends,
-    InputColumns,
     Model,
     Noise,
     Output,

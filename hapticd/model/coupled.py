@@ -68,7 +68,7 @@ from hapticd.model.predict import Prediction, environments, predict
 from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import LiftedSystem, lifted_margin, lifted_system
 
-__all__ = ["Forecast", "Hand", "at_port", "coupled_radius", "forecast", "shaking_hand"]
+__all__ = ["Forecast", "Hand", "at_port", "forecast", "shaking_hand"]
 
 # --- hands ----------------------------------------------------------------------------------------
 

@@ -49,7 +49,6 @@ from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
 __all__ = [
     "AtLevel",
     "Explanation",
-    "damping_ceiling",
     "discretise",
     "drive_response_s",
     "edge",
@@ -235,13 +234,6 @@ def modes(
         if model.drifts(active_damping_ns_per_m):
             a = _quotient(a, model.translation())
         return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
-
-
-def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
-    """Return the largest stable damping level [Ns/m] of the device, at most `highest_ns_per_m`."""
-    if stability(model, highest_ns_per_m).stable:
-        return highest_ns_per_m
-    return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
 
 
 def edge(

@@ -53,10 +53,10 @@ not be combined with the circuit's own bandwidth w_d. Two lags in series reverse
 above sqrt(w_h w_d), and there the shaped damper is active; a high-pass and one lag never do that.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
 
 from hapticd.core.params import HeatingParams
 from hapticd.core.units import COPPER_PER_K, unit_of
@@ -73,21 +73,16 @@ __all__ = [
     "ALWAYS",
     "BY_KEY",
     "PROVENANCE",
-    "DampingDac",
     "Delay",
     "Effect",
     "Encoder",
-    "ForceDac",
     "Masses",
     "Motor",
-    "ProbeAdc",
-    "SampleTiming",
     "Saturation",
     "ShapedDamping",
     "Smoothing",
     "Viscous",
     "WindingTemperature",
-    "WorkspaceEnds",
     "copper_ohm",
     "sample_timing",
 ]
@@ -143,15 +138,29 @@ class Effect:
         )
 
 
+E = TypeVar("E", bound=Effect)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def effect(key: str, why: str, nonlinearity: str = "") -> Callable[[type[E]], type[E]]:
+    """Return the decorator of an effect: a frozen dataclass with these attributes of `Effect`."""
+
+    def made(kind: type[E]) -> type[E]:
+        kind.key = key
+        kind.why = why
+        kind.nonlinearity = nonlinearity
+        return dataclass(frozen=True, slots=True, kw_only=True)(kind)
+
+    return made
+
+
 # --- bodies and attachments -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("masses", "the moving masses")
 class Masses(Effect):
     """The masses themselves. They are always built."""
 
-    key: ClassVar[str] = "masses"
-    why: ClassVar[str] = "the moving masses"
     rotor_kg: float = number(gt=0, le=100)  # moving with the motor, reflected to the endpoint
     slider_kg: float = number(0.0, ge=0, le=100)  # sliding with the encoder
 
@@ -163,15 +172,13 @@ class Masses(Effect):
         plan.channel = rotor.velocity
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("probe", "the probe moves with the rotor while it measures")
 class ProbeMass(Effect):
     """The Z-width probe on the rotor: its inertia.
 
     Its torque input and velocity output exist on every device.
     """
 
-    key: ClassVar[str] = "probe"
-    why: ClassVar[str] = "the probe moves with the rotor while it measures"
     mass_kg: float = number(ge=0, le=100)  # added to the rotor while the probe is mounted
 
     def build(self, plan: Blueprint) -> None:
@@ -180,12 +187,10 @@ class ProbeMass(Effect):
         plan.probe_mass_kg = self.mass_kg
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("coupling", "the encoder is not on the motor: a mode above 300 Hz between the two")
 class Coupling(Effect):
     """A flexible transmission between rotor and slider."""
 
-    key: ClassVar[str] = "coupling"
-    why: ClassVar[str] = "the encoder is not on the motor: a mode above 300 Hz between the two"
     stiffness_n_per_m: float = number(gt=0, le=1e9)  # of the transmission, seen at the endpoint
     # of the transmission, relative to the motion of the slider
     damping_ns_per_m: float = number(ge=0, le=1e5)
@@ -202,12 +207,10 @@ class Coupling(Effect):
         slider.force += held
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("viscous", "physical damping: the budget that sampling and delay spend")
 class Viscous(Effect):
     """Friction proportional to velocity, at either body."""
 
-    key: ClassVar[str] = "viscous"
-    why: ClassVar[str] = "physical damping: the budget that sampling and delay spend"
     rotor_ns_per_m: float = number(ge=0, le=1e5)  # between rotor and ground
     slider_ns_per_m: float = number(0.0, ge=0, le=1e5)  # between slider and ground
 
@@ -221,12 +224,10 @@ class Viscous(Effect):
             plan.viscous_ns_per_m += level
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("load", "something is mounted at the endpoint")
 class Load(Effect):
     """Mass, spring and damper against ground, fixed to the endpoint."""
 
-    key: ClassVar[str] = "load"
-    why: ClassVar[str] = "something is mounted at the endpoint"
     mass_kg: float = number(0.0, ge=0, le=100)  # moves with the endpoint
     damping_ns_per_m: float = number(0.0, ge=0, le=1e5)  # against ground
     stiffness_n_per_m: float = number(0.0, ge=0, le=1e8)  # against ground, free at position 0
@@ -238,15 +239,13 @@ class Load(Effect):
         end.force -= self.damping_ns_per_m * end.velocity + self.stiffness_n_per_m * end.position
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("hand", "a person holds the endpoint")
 class PassiveHand(Effect):
     """A passive human: a finger mass on the arm's spring and damper, held through the finger pad.
     All parameters are 0 or more, therefore passive (Colgate and Schenkel 1997 need no more of a
     human).
     """
 
-    key: ClassVar[str] = "hand"
-    why: ClassVar[str] = "a person holds the endpoint"
     mass_kg: float = number(gt=0, le=100)  # of the finger
     damping_ns_per_m: float = number(ge=0, le=1e5)  # of the arm, against ground
     stiffness_n_per_m: float = number(ge=0, le=1e8)  # of the arm, against ground
@@ -266,13 +265,14 @@ class PassiveHand(Effect):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "cogging",
+    "iron in the stator pulls the magnets to preferred positions",
+    "force periodic in position",
+)
 class MagnetCogging(Effect):
     """Torque of the magnets on the iron, periodic in rotor position."""
 
-    key: ClassVar[str] = "cogging"
-    why: ClassVar[str] = "iron in the stator pulls the magnets to preferred positions"
-    nonlinearity: ClassVar[str] = "force periodic in position"
     amplitude_n: float = number(ge=0, le=100)  # peak force at the endpoint
     pitch_m: float = number(gt=0, le=1)  # travel of one period
     phase_rad: float = number(0.0, ge=-7, le=7)  # at position 0
@@ -282,13 +282,10 @@ class MagnetCogging(Effect):
         plan.rotor_force("sine", self.amplitude_n, self.pitch_m, self.phase_rad)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("ends", "the travel has ends", "position held inside the travel")
 class WorkspaceEnds(Effect):
     """Inelastic mechanical ends at the endpoint."""
 
-    key: ClassVar[str] = "ends"
-    why: ClassVar[str] = "the travel has ends"
-    nonlinearity: ClassVar[str] = "position held inside the travel"
     lower_m: float = number(ge=-10, le=10)  # lowest position of the endpoint
     upper_m: float = number(ge=-10, le=10)  # highest position of the endpoint
 
@@ -300,15 +297,14 @@ class WorkspaceEnds(Effect):
 # --- dry friction ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "coulomb",
+    "dry friction: most of the undamped device's damping, and more of it when motion is small",
+    "set-valued force, stick at v = 0",
+)
 class Coulomb(Effect):
     """Dry friction at either body."""
 
-    key: ClassVar[str] = "coulomb"
-    why: ClassVar[str] = (
-        "dry friction: most of the undamped device's damping, and more of it when motion is small"
-    )
-    nonlinearity: ClassVar[str] = "set-valued force, stick at v = 0"
     rotor_n: float = number(ge=0, le=100)  # level Fc at the rotor
     slider_n: float = number(0.0, ge=0, le=100)  # level Fc at the slider
 
@@ -321,12 +317,10 @@ class Coulomb(Effect):
 # --- from the force command to the motor force, and the damping circuit ---------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("delay", "computing and transport take time")
 class Delay(Effect):
     """The time from an encoder sample to the force computed from it."""
 
-    key: ClassVar[str] = "delay"
-    why: ClassVar[str] = "computing and transport take time"
     periods: float = number(ge=0, le=10)  # of the servo; may be fractional and more than 1
 
     def build(self, plan: Blueprint) -> None:
@@ -334,13 +328,10 @@ class Delay(Effect):
         plan.delay_periods = self.periods
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("force_dac", "the torque command is a count", "force rounded to a count")
 class ForceDac(Effect):
     """The converter of the torque command."""
 
-    key: ClassVar[str] = "force_dac"
-    why: ClassVar[str] = "the torque command is a count"
-    nonlinearity: ClassVar[str] = "force rounded to a count"
     quantum_n: float = number(gt=0)  # endpoint force of one count
 
     def build(self, plan: Blueprint) -> None:
@@ -348,13 +339,14 @@ class ForceDac(Effect):
         plan.numbers["force_quantum_n"] = self.quantum_n
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "saturation",
+    "motor and amplifier have a maximum force; it bounds an unstable motion",
+    "force held inside its limit",
+)
 class Saturation(Effect):
     """The force command is limited."""
 
-    key: ClassVar[str] = "saturation"
-    why: ClassVar[str] = "motor and amplifier have a maximum force; it bounds an unstable motion"
-    nonlinearity: ClassVar[str] = "force held inside its limit"
     limit_n: float = number(gt=0)  # largest magnitude of the command
 
     def build(self, plan: Blueprint) -> None:
@@ -362,14 +354,13 @@ class Saturation(Effect):
         plan.numbers["force_limit_n"] = self.limit_n
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "smoothing",
+    "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency",
+)
 class Smoothing(Effect):
     """First-order low-pass on the virtual-force command alone, not on the damping."""
 
-    key: ClassVar[str] = "smoothing"
-    why: ClassVar[str] = (
-        "reconstruction filter behind the torque DAC: lag of the virtual force at low frequency"
-    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB
 
     def build(self, plan: Blueprint) -> None:
@@ -379,12 +370,10 @@ class Smoothing(Effect):
         plan.command = smooth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("amplifier", "current does not follow its command at once")
 class Amplifier(Effect):
     """Current amplifier of finite bandwidth."""
 
-    key: ClassVar[str] = "amplifier"
-    why: ClassVar[str] = "current does not follow its command at once"
     bandwidth_hz: float = number(gt=0, le=1e7)  # -3 dB of current over its command
 
     def build(self, plan: Blueprint) -> None:
@@ -392,16 +381,15 @@ class Amplifier(Effect):
         plan.amplifier_rad_s = tau * self.bandwidth_hz
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "amplifier_limits",
+    "command and active damping share one amplifier: in an impact at full force nothing is left"
+    " for the damping",
+    "motor force held inside what current and voltage reach",
+)
 class AmplifierLimits(Effect):
     """Limits of current and voltage on command and active damping together (`model.friction`)."""
 
-    key: ClassVar[str] = "amplifier_limits"
-    why: ClassVar[str] = (
-        "command and active damping share one amplifier: in an impact at full force nothing is left"
-        " for the damping"
-    )
-    nonlinearity: ClassVar[str] = "motor force held inside what current and voltage reach"
     max_current_a: float = number(gt=0, le=1e4)  # of the amplifier, through the winding
     max_voltage_v: float = number(gt=0, le=1e4)  # at its output: the supply minus its own drop
     # in series with the winding: amplifier, cable, contacts and shunt
@@ -415,13 +403,10 @@ class AmplifierLimits(Effect):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("damping_dac", "the damping scale factor is a count", "level rounded to a count")
 class DampingDac(Effect):
     """The converter of the damping scale factor."""
 
-    key: ClassVar[str] = "damping_dac"
-    why: ClassVar[str] = "the damping scale factor is a count"
-    nonlinearity: ClassVar[str] = "level rounded to a count"
     quantum_ns_per_m: float = number(gt=0)  # damping of one count
 
     def build(self, plan: Blueprint) -> None:
@@ -429,12 +414,12 @@ class DampingDac(Effect):
         plan.numbers["active_damping_quantum_ns_per_m"] = self.quantum_ns_per_m
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "damping_circuit", "the back-EMF estimate is filtered; its bandwidth sets the damping ceiling"
+)
 class DampingCircuit(Effect):
     """The analog velocity estimate has a bandwidth."""
 
-    key: ClassVar[str] = "damping_circuit"
-    why: ClassVar[str] = "the back-EMF estimate is filtered; its bandwidth sets the damping ceiling"
     bandwidth_hz: float = number(gt=0, le=1e7)  # -3 dB of the velocity estimate
 
     def build(self, plan: Blueprint) -> None:
@@ -442,14 +427,13 @@ class DampingCircuit(Effect):
         plan.circuit_rad_s = tau * self.bandwidth_hz
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "multiplier",
+    "analog multipliers have gain and offset errors: switching damping steps the force",
+)
 class Multiplier(Effect):
     """Errors of the analog multiplier of velocity and scale factor (the paper's AD534)."""
 
-    key: ClassVar[str] = "multiplier"
-    why: ClassVar[str] = (
-        "analog multipliers have gain and offset errors: switching damping steps the force"
-    )
     gain_error: float = number(0.0, gt=-1, le=10)  # relative: 0.01 is 1 % too much
     scale_offset_ns_per_m: float = number(0.0, ge=-10, le=10)  # added to the commanded level
     velocity_offset_m_per_s: float = number(0.0, ge=-1, le=1)  # added to the velocity estimate
@@ -464,15 +448,12 @@ class Multiplier(Effect):
         plan.estimate_psd += self.noise_psd
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("crowbar", "a shorted winding damps by itself, and gives no torque")
 class Crowbar(Effect):
     """The motor shorted: damping K_m^2 / R (Weir 2008, Eq. 3).
 
     Torque and crowbar exclude each other.
     """
-
-    key: ClassVar[str] = "crowbar"
-    why: ClassVar[str] = "a shorted winding damps by itself, and gives no torque"
 
     def build(self, plan: Blueprint) -> None:
         """Disconnect the motor from the command; `compose` writes the damping instead."""
@@ -498,14 +479,13 @@ def sample_timing(delay_periods: float) -> SampleTiming:
 # --- damping that depends on frequency ------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "shaped_damping",
+    "damping that acts only above a corner, below one, or between two, instead of everywhere",
+)
 class ShapedDamping(Effect):
     """Active damping above `highpass_hz` and below `lowpass_hz`, first order each."""
 
-    key: ClassVar[str] = "shaped_damping"
-    why: ClassVar[str] = (
-        "damping that acts only above a corner, below one, or between two, instead of everywhere"
-    )
     highpass_hz: float = number(0.0, ge=0, le=1e6)  # w_l / 2 pi; 0 for none
     lowpass_hz: float = number(0.0, ge=0, le=1e6)  # w_h / 2 pi; 0 for none
 
@@ -538,12 +518,10 @@ def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) 
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("motor", "force per ampere and ohms, for currents, losses and the crowbar")
 class Motor(Effect):
     """Motor and lever; always built: constants without a state."""
 
-    key: ClassVar[str] = "motor"
-    why: ClassVar[str] = "force per ampere and ohms, for currents, losses and the crowbar"
     torque_constant_nm_per_a: float = number(gt=0, le=100)  # K_m
     lever_m: float = number(gt=0, le=10)  # radius that turns torque into endpoint force
     resistance_ohm: float = number(gt=0, le=1e4)  # at reference_c
@@ -559,15 +537,14 @@ class Motor(Effect):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "winding",
+    "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by"
+    " alpha",
+)
 class WindingTemperature(Effect):
     """The winding's temperature differs from that of the resistance compensation."""
 
-    key: ClassVar[str] = "winding"
-    why: ClassVar[str] = (
-        "copper's resistance grows 0.393 %/K; what is not compensated scales damping and force by"
-        " alpha"
-    )
     temperature_c: float = number(ge=-40, le=250)  # of the copper
     # temperature for which the resistance compensation was set
     compensated_c: float = number(ge=-40, le=250)
@@ -581,17 +558,14 @@ class WindingTemperature(Effect):
         plan.copper = cold._replace(compensated_ohm=compensated_ohm, start_c=self.temperature_c)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "heating",
+    "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts",
+    "temperature driven by the square of the current, resistance in the loop",
+)
 class WindingHeating(Effect):
     """Copper loss heats the winding while it works."""
 
-    key: ClassVar[str] = "heating"
-    why: ClassVar[str] = (
-        "8 N cost some 38 W of copper loss: the winding warms up and the compensation drifts"
-    )
-    nonlinearity: ClassVar[str] = (
-        "temperature driven by the square of the current, resistance in the loop"
-    )
     thermal_resistance_k_per_w: float = number(ge=0, le=1e4)  # winding to surroundings
     time_constant_s: float = number(gt=0, le=1e5)  # of the winding against its surroundings
     ambient_c: float = number(ge=-40, le=100)  # of the surroundings
@@ -612,12 +586,10 @@ class WindingHeating(Effect):
         return (self.time_constant_s,)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("inductance", "an uncancelled part of L di/dt looks like velocity")
 class InductanceError(Effect):
     """L di/dt is cancelled incompletely (error_h > 0) or too much (< 0)."""
 
-    key: ClassVar[str] = "inductance"
-    why: ClassVar[str] = "an uncancelled part of L di/dt looks like velocity"
     error_h: float = number(ge=-1, le=1)  # true minus compensated; > 0: not cancelled completely
 
     def build(self, plan: Blueprint) -> None:
@@ -628,13 +600,10 @@ class InductanceError(Effect):
 # --- measurement ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("encoder", "position comes in counts", "position rounded to a count")
 class Encoder(Effect):
     """The encoder that the servo reads."""
 
-    key: ClassVar[str] = "encoder"
-    why: ClassVar[str] = "position comes in counts"
-    nonlinearity: ClassVar[str] = "position rounded to a count"
     quantum_m: float = number(gt=0)  # travel of one count
 
     def build(self, plan: Blueprint) -> None:
@@ -642,13 +611,10 @@ class Encoder(Effect):
         plan.numbers["encoder_quantum_m"] = self.quantum_m
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect("probe_adc", "torque and velocity of the record come in counts", "record rounded to counts")
 class ProbeAdc(Effect):
     """The converters of the probe's record."""
 
-    key: ClassVar[str] = "probe_adc"
-    why: ClassVar[str] = "torque and velocity of the record come in counts"
-    nonlinearity: ClassVar[str] = "record rounded to counts"
     velocity_quantum_m_per_s: float = number(gt=0)  # velocity of one count
     torque_quantum_n: float = number(gt=0)  # endpoint force of one count
 
@@ -658,14 +624,13 @@ class ProbeAdc(Effect):
         plan.numbers["torque_quantum_n"] = self.torque_quantum_n
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "velocity_highpass",
+    "an AC-coupled velocity amplifier makes a spring look active at low frequency",
+)
 class VelocityHighpass(Effect):
     """The velocity amplifier is AC-coupled."""
 
-    key: ClassVar[str] = "velocity_highpass"
-    why: ClassVar[str] = (
-        "an AC-coupled velocity amplifier makes a spring look active at low frequency"
-    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB of the AC coupling
 
     def build(self, plan: Blueprint) -> None:
@@ -677,14 +642,13 @@ class VelocityHighpass(Effect):
         plan.travel = low / rate_rad_s
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "anti_alias",
+    "keeps frequencies above 2 kHz out of the record; equal in both channels: no effect on Z",
+)
 class AntiAlias(Effect):
     """The same second-order Butterworth low-pass before both converters of the record."""
 
-    key: ClassVar[str] = "anti_alias"
-    why: ClassVar[str] = (
-        "keeps frequencies above 2 kHz out of the record; equal in both channels: no effect on Z"
-    )
     corner_hz: float = number(gt=0, le=1e6)  # -3 dB, Butterworth of the second order
 
     def build(self, plan: Blueprint) -> None:
@@ -708,13 +672,14 @@ class AntiAlias(Effect):
         return low, (slope + 2.0 * ZETA * w * low) / (w * w)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect(
+    "sensor_noise",
+    "the velocity coil's amplifier is noisy: |Z| is biased, its phase is not",
+    "random",
+)
 class SensorNoise(Effect):
     """White noise of the velocity channel."""
 
-    key: ClassVar[str] = "sensor_noise"
-    why: ClassVar[str] = "the velocity coil's amplifier is noisy: |Z| is biased, its phase is not"
-    nonlinearity: ClassVar[str] = "random"
     velocity_m_per_s: float = number(ge=0, le=10)  # rms, added to each 4 kHz value of the record
 
     def build(self, plan: Blueprint) -> None:

@@ -25,15 +25,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Excitation
 
-__all__ = [
-    "Stream",
-    "band_noise",
-    "generator",
-    "held_noise",
-    "mark_signs",
-    "marked",
-    "torque_record",
-]
+__all__ = ["Stream", "band_noise", "generator", "mark_signs", "marked", "torque_record"]
 
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
 MARK_ORDER = 10  # stages of the shift register
@@ -143,10 +135,3 @@ def marked(force_n: Floats) -> Floats:
             " make the trial longer"
         )
     return np.concatenate((force_n[:MARK_LEAD], float(np.std(force_n)) * signs, force_n[end:]))
-
-
-def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:
-    """Return white noise (samples,) of one-sided density `psd` per Hz, each value held for 250
-    us.
-    """
-    return sqrt(0.5 * psd * PROBE_RATE_HZ) * generator(seed, stream).standard_normal(samples)

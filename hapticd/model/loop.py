@@ -41,16 +41,7 @@ from hapticd.model.discrete import delay_steps, discretise, late_command
 from hapticd.model.model import Model
 from hapticd.render.law import Biquad, design
 
-__all__ = [
-    "Filters",
-    "Tick",
-    "close_loop",
-    "derivatives",
-    "held_force_model",
-    "radii",
-    "spectral_radius",
-    "tick_of",
-]
+__all__ = ["Filters", "close_loop", "derivatives", "held_force_model", "spectral_radius"]
 
 # of velocity and acceleration; None omits one
 Filters = tuple[FilterParams | None, FilterParams | None]

@@ -42,9 +42,20 @@ from hapticd.core.params import (
 from hapticd.model.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
-    "Array", "Contact", "DriveLimits", "Ends", "InputColumns", "Map", "Model", "Noise", "Note",
-    "Output", "Outputs", "RotorForce", "StateVariable", "Winding", "frozen",
-]  # fmt: skip
+    "Array",
+    "Contact",
+    "DriveLimits",
+    "Ends",
+    "Map",
+    "Model",
+    "Noise",
+    "Output",
+    "Outputs",
+    "RotorForce",
+    "StateVariable",
+    "Winding",
+    "frozen",
+]
 
 Array = npt.NDArray[np.float64]
 

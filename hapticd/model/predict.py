@@ -87,7 +87,7 @@ class Prediction:
 
     @property
     def decided_margin(self) -> Floats:
-        """`margin_ns_per_m` for `passive_set.passive_set`: nan where Re Z >= 0 did not suffice."""
+        """`margin_ns_per_m` for `PassiveSet.of`: nan where Re Z >= 0 did not suffice."""
         return np.where(self.passive | (self.margin_ns_per_m < 0.0), self.margin_ns_per_m, np.nan)
 
 

@@ -50,8 +50,6 @@ from hapticd.model.loop import Filters, biquad_of, port_states
 from hapticd.model.model import Model
 from hapticd.model.theorem import NOWHERE, Circles, circles, lifted_system, open_loop, terms_of
 
-__all__ = ["Rational", "positive_everywhere", "rational"]
-
 _IMAGES = 100  # harmonics on each side
 _AT_REST = 1e-5  # |pT|: less is a free position, which is not a pole of f
 _FARTHEST = 1e-10  # |z|: poles closer to 0 have no effect

@@ -3,16 +3,41 @@ values in SI units.
 
 A scene file (config/scenes/NAME.toml) is read by `hapticd.settings.scene`, which builds these;
 `compose` turns the device and the names in `effects` into a `Model`. An effect that is not listed
-is not built and costs no state and no time.
+is not built and costs no state and no time. Some effects follow from the scales of a device file:
+its converters, its limits, and a device that is one rigid mass.
 """
 
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from hapticd.core.environment import Constraints, Environment, NotNegative, Positive, TableParams
-from hapticd.model.effects import Effect
+from hapticd.core.params import DeviceParams, ScaleParams
+from hapticd.model.effects import (
+    DampingDac,
+    Delay,
+    Effect,
+    Encoder,
+    ForceDac,
+    Masses,
+    Motor,
+    ProbeAdc,
+    SampleTiming,
+    Saturation,
+    Smoothing,
+    Viscous,
+    WorkspaceEnds,
+    sample_timing,
+)
 
-__all__ = ["DampingStep", "Excitation", "Scene"]
+__all__ = [
+    "DampingStep",
+    "Excitation",
+    "Scene",
+    "converter_effects",
+    "rigid_body",
+    "smoothing_hz",
+    "timing_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,3 +89,77 @@ class Scene:
     start_position_m: float = 0.0  # of the endpoint
     start_velocity_m_per_s: float = 0.0  # of the endpoint
     allow_unstable: bool = False  # simulate a device whose damping circuit oscillates
+
+
+# --- effects by the numbers of a device file ------------------------------------------------------
+DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
+
+
+def converter_effects(scales: DeviceParams) -> dict[str, Effect]:
+    """Return quantisation and limits by the scales of a device, by key.
+
+    The source of a scale becomes the note.
+    """
+    return {
+        "encoder": Encoder(
+            quantum_m=scales.position.per_count,
+            source=_tag(scales.position),
+            note=scales.position.source,
+        ),
+        "force_dac": ForceDac(quantum_n=scales.force.per_count, note="16 bits"),
+        "saturation": Saturation(
+            limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source
+        ),
+        "damping_dac": DampingDac(
+            quantum_ns_per_m=scales.active_damping.per_count, note=scales.active_damping.source
+        ),
+        "probe_adc": ProbeAdc(
+            velocity_quantum_m_per_s=scales.probe_velocity.per_count,
+            torque_quantum_n=scales.probe_torque.per_count,
+            note=scales.probe_velocity.source,
+        ),
+    }
+
+
+def _tag(scale: ScaleParams) -> str:
+    """Return the tag of an effect with the numbers of a scale."""
+    if scale.measured:
+        return "calibrated"
+    return "paper" if scale.measured_by == "paper" else "inferred"
+
+
+def rigid_body(
+    scales: DeviceParams,
+    mass_kg: float,
+    viscous_ns_per_m: float,
+    lower_stop_m: float,
+    upper_stop_m: float,
+    torque_constant_n_per_a: float,
+    winding_ohm: float,
+) -> tuple[Effect, ...]:
+    """Return the effects of a device that is one rigid mass, latched at the default phase."""
+    return (
+        Masses(rotor_kg=mass_kg),
+        Motor(
+            torque_constant_nm_per_a=torque_constant_n_per_a,
+            lever_m=1.0,
+            resistance_ohm=winding_ohm,
+        ),
+        Viscous(rotor_ns_per_m=viscous_ns_per_m),
+        WorkspaceEnds(lower_m=lower_stop_m, upper_m=upper_stop_m),
+        Delay(periods=1.0 - DEFAULT_PHASE),
+        *converter_effects(scales).values(),
+    )
+
+
+def timing_of(effects: tuple[Effect, ...]) -> SampleTiming:
+    """Return the timing of a board with the device's transport delay, or the default
+    without one.
+    """
+    delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
+    return sample_timing(delay) if delay else SampleTiming(DEFAULT_PHASE, 0)
+
+
+def smoothing_hz(effects: tuple[Effect, ...]) -> float:
+    """Return the corner [Hz] of the low-pass on the commanded force; 0 without one."""
+    return next((one.corner_hz for one in effects if isinstance(one, Smoothing)), 0.0)

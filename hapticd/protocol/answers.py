@@ -15,13 +15,11 @@ from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hapticd.core.errors import CommandError
-from hapticd.core.params import ServoParams
+from hapticd.core.params import LEAST_IDLE_SHARE, ServoParams
 from hapticd.protocol.journal import Entry
 
 __all__ = [
-    "LEAST_IDLE_SHARE",
     "Compensation",
-    "Delays",
     "Delivered",
     "Event",
     "Get",
@@ -38,12 +36,10 @@ __all__ = [
     "LimitCycleFault",
     "Receipt",
     "Room",
-    "StageTimes",
     "Status",
     "Timing",
     "TimingCost",
     "answer_of",
-    "verdict_of",
 ]
 
 A = TypeVar("A")
@@ -143,11 +139,6 @@ class GuardVerdict(GuardReading):
         if wall is None or wall.margin_ns_per_m is None or free.margin_ns_per_m is None:
             return free
         return wall if wall.margin_ns_per_m < free.margin_ns_per_m else free
-
-
-def verdict_of(plain: Mapping[str, Any] | None) -> GuardVerdict | None:
-    """Return the verdict in the map `plain` of a reply or an event; None without one."""
-    return answer_of(GuardVerdict, plain) if plain else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,9 +331,6 @@ class LateTicks:
     latest_us: float = 0.0  #: largest delay of an end after its deadline
 
 
-LEAST_IDLE_SHARE = 0.25  # of a period, required idle time
-
-
 @dataclass(frozen=True, slots=True)
 class Room:
     """The share of the period that a tick takes, from the stages measured since the servo started.
@@ -403,7 +391,6 @@ class Event(Receipt):
     asked: dict[str, Any] = field(default_factory=dict)  #: of the guard, before the gateway started
     configured: dict[str, Any] = field(default_factory=dict)  #: for the guard
     terms: dict[str, Any] = field(default_factory=dict)  #: by which the guard judges from now on
-    mode: str = ""  #: of the active damping, if the guard chooses it
     address: str = ""  #: of a listener that was refused, or at which telemetry is offered
     port: int = 0  #: that is taken
     times: int = 1  #: how often

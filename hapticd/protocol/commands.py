@@ -53,7 +53,6 @@ __all__ = [
     "receipt",
     "refusal",
     "rendered",
-    "values_given",
 ]
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
@@ -193,81 +192,65 @@ def held(answer: Answer, view: ServoView, actors: Actors) -> str:
     )
 
 
+# codes of refusals that are not the name of the result, like refused_late
+CODES = {Result.REFUSED_RANGE: "invalid", Result.REFUSED_FULL: "busy"}
+
+
 def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> CommandError:
     """Return why the servo refused `cmd`, with the remedy."""
     fault = BY_NUMBER.get(answer.fault, FAULTS[0])
     status = int(view.record.get("status", 0))
     texts = {
-        Result.REFUSED_CAUSE: ("refused", persisting(fault, status)),
-        Result.REFUSED_NO_AUTHORITY: ("refused", withheld(status)),
+        Result.REFUSED_CAUSE: persisting(fault, status),
+        Result.REFUSED_NO_AUTHORITY: withheld(status),
         Result.REFUSED_NOT_HOMED: (
-            "refused",
-            (
-                "the device has no position origin: none was made yet, or it was lost with the"
-                " link, the board or the encoder; `hapticd home` or `hapticd zero` first"
-            ),
+            "the device has no position origin: none was made yet, or it was lost with the"
+            " link, the board or the encoder; `hapticd home` or `hapticd zero` first"
         ),
         Result.REFUSED_NO_GATEWAY: (
-            "refused",
-            "the servo misses the gateway's heartbeat; try again, then see `hapticd status`",
+            "the servo misses the gateway's heartbeat; try again, then see `hapticd status`"
         ),
         Result.REFUSED_RANGE: (
-            "invalid",
-            "a value is out of range for this device; see `limits` in the reply to `hello`",
+            "a value is out of range for this device; see `limits` in the reply to `hello`"
         ),
         Result.REFUSED_FULL: (
-            "busy",
-            (
-                "16 changes are scheduled already; wait until one is in force, or stop, which"
-                " cancels them"
-            ),
+            "16 changes are scheduled already; wait until one is in force, or stop, which"
+            " cancels them"
         ),
-        Result.REFUSED_LATE: (
-            "refused",
-            f"at_tick has passed, it is tick {view.tick}; choose a later one",
-        ),
+        Result.REFUSED_LATE: f"at_tick has passed, it is tick {view.tick}; choose a later one",
         Result.REFUSED_FILTER: (
-            "refused",
-            (
-                "filters change only while the device is disabled, or while damping, mass and the"
-                " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
-            ),
+            "filters change only while the device is disabled, or while damping, mass and the"
+            " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
         ),
         Result.REFUSED_COMMISSIONING: (
-            "refused",
-            (
-                "the signs of force and position are not verified, and homing pushes by them; take"
-                " the origin by hand with `hapticd zero`, then `hapticd rig motor`"
-            ),
+            "the signs of force and position are not verified, and homing pushes by them; take"
+            " the origin by hand with `hapticd zero`, then `hapticd rig motor`"
         ),
         Result.REFUSED_SAMPLE: (
-            "refused",
-            (
-                "no position came from the board in that tick, or one that the positions before it"
-                " do not lead to; hold the handle still and ask again"
-            ),
+            "no position came from the board in that tick, or one that the positions before it"
+            " do not lead to; hold the handle still and ask again"
         ),
         Result.REFUSED_REVISION: (
-            "refused",
-            "the environment or active damping has changed since this was judged; repeat it",
+            "the environment or active damping has changed since this was judged; repeat it"
         ),
         Result.REFUSED_TERMS: (
-            "refused",
-            "the guard's policy, basis or margin has changed since this was judged; ask again",
+            "the guard's policy, basis or margin has changed since this was judged; ask again"
         ),
         Result.CANCELLED: (
-            "stopped" if view.state in LATCHED else "refused",
             "a stop, a fault, other terms of the guard or the end of its client came first; after a"
-            " stop or fault `hapticd reset`, then ask again",
+            " stop or fault `hapticd reset`, then ask again"
         ),
     }
     if answer.result is Result.REFUSED_OWNER:
-        return CommandError("refused", f"{cmd}: {held(answer, view, actors)}")
-    if answer.result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE):
-        return CommandError("refused", f"{cmd}: {_barred(answer.result, view)}")
-    if answer.result not in texts:
+        reason = held(answer, view, actors)
+    elif answer.result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE):
+        reason = _barred(answer.result, view)
+    elif answer.result in texts:
+        reason = texts[answer.result]
+    else:
         return wrong_state(cmd, view, actors)
-    code, reason = texts[answer.result]
+    ended = answer.result is Result.CANCELLED and view.state in LATCHED
+    code = "stopped" if ended else CODES.get(answer.result, answer.result.name.lower())
     return CommandError(code, f"{cmd}: {reason}")
 
 
@@ -302,11 +285,11 @@ def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
         )
     if cmd == "reset":
         reason = "nothing is latched, so there is nothing to reset; `hapticd disable` ends force"
-        return CommandError("refused", f"reset in state {view.state_name}: {reason}")
+        return CommandError("refused_state", f"reset in state {view.state_name}: {reason}")
     allowed = " or ".join(state.name.lower() for state in ALLOWED.get(cmd, ()))
     first = "; `hapticd disable` first" if allowed == "disabled" else ""
     reason = f"possible only in {allowed or 'another state'}{first}"
-    return CommandError("refused", f"{cmd} in state {view.state_name}: {reason}")
+    return CommandError("refused_state", f"{cmd} in state {view.state_name}: {reason}")
 
 
 class Situation(NamedTuple):
@@ -396,7 +379,7 @@ def _check_revision(request: Change, situation: Situation) -> None:
         )
     if request.if_rev != situation.view.revision:
         raise CommandError(
-            "refused",
+            "refused_revision",
             f"if_rev = {request.if_rev}: the revision is {situation.view.revision}; check the"
             " change and ask again",
         )

@@ -21,6 +21,7 @@ from enum import StrEnum
 from string import Formatter
 from typing import Any, Final, Literal
 
+from hapticd.core.params import LEAST_IDLE_SHARE
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.daemons import ACTOR_STOP_WORD
 
@@ -99,9 +100,9 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "lease_failed": ("lease", LEASE + "ended: its holder failed"),
     "tick_too_long": (
         "warning",
-        "a tick takes {tick_us:.0f} us of its {period_us:.0f} us ({percent:.0f} %, at most 75 % is"
-        " safe): ticks will be late; set realtime.rate_hz to {highest_rate_hz:g} or less, or see"
-        " `hapticd doctor`",
+        "a tick takes {tick_us:.0f} us of its {period_us:.0f} us ({percent:.0f} %, at most"
+        f" {100.0 * (1.0 - LEAST_IDLE_SHARE):.0f} % is safe): ticks will be late; set"
+        " realtime.rate_hz to {highest_rate_hz:g} or less, or see `hapticd doctor`",
     ),
     "damping_low": (
         "warning",

@@ -51,8 +51,6 @@ __all__ = [
     "ProbeDecoder",
     "RingBlock",
     "Subscriptions",
-    "raw_message",
-    "servo_messages",
 ]
 
 
@@ -162,6 +160,38 @@ class RingBlock(NamedTuple):
     data: bytes
     records: Records
 
+    def batches(self, energies: NDArray[np.float64], origin: "Origin", batch: int) -> list[bytes]:
+        """Return payloads of topic `servo`, with at most `batch` ticks each. `energies` are the
+        ledger's sums (n, causes) of the self.
+        """
+        records = self.records
+        columns: list[Any] = [
+            ((records["time_ns"] + origin.unix_offset_ns) / NS_PER_S).tolist(),
+            range(self.seq, self.seq + len(records)),
+            *(records[name].tolist() for name in COLUMNS),
+            *energies.T.tolist(),
+        ]
+        names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
+        maps = [
+            _finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)
+        ]
+        return [
+            bytes(msgpack.packb(maps[start : start + batch]))
+            for start in range(0, len(maps), batch)
+        ]
+
+    def message(self, origin: "Origin") -> bytes:
+        """Return the payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
+        return packed_block(
+            origin,
+            self.seq,
+            self.seq + len(self.records),
+            len(self.records),
+            self.lost,
+            TICK_DESCR,
+            self.data,
+        )
+
 
 class Feed:
     """Read whole batches, or the available records if no batch was completed for a while."""
@@ -240,45 +270,12 @@ class Origin:
         }
 
 
-def servo_messages(
-    block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int
-) -> list[bytes]:
-    """Return payloads of topic `servo`, with at most `batch` ticks each. `energies` are the
-    ledger's sums (n, causes) of the block.
-    """
-    records = block.records
-    columns: list[Any] = [
-        ((records["time_ns"] + origin.unix_offset_ns) / NS_PER_S).tolist(),
-        range(block.seq, block.seq + len(records)),
-        *(records[name].tolist() for name in COLUMNS),
-        *energies.T.tolist(),
-    ]
-    names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
-    maps = [_finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]
-    return [
-        bytes(msgpack.packb(maps[start : start + batch])) for start in range(0, len(maps), batch)
-    ]
-
-
 def _finite(numbers: dict[str, Any]) -> dict[str, Any]:
     # a sum is finite unless one of its terms is not, or it overflows; the slow path then finds
     # none
     if math.isfinite(sum(numbers.values())):
         return numbers
     return {name: value for name, value in numbers.items() if math.isfinite(value)}
-
-
-def raw_message(block: RingBlock, origin: Origin) -> bytes:
-    """Return the payload of topic `servo.raw`: {.., seq, next, n, lost, descr, d}."""
-    return packed_block(
-        origin,
-        block.seq,
-        block.seq + len(block.records),
-        len(block.records),
-        block.lost,
-        TICK_DESCR,
-        block.data,
-    )
 
 
 def packed_block(

@@ -36,7 +36,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
 from hapticd.mailbox.client_side import Noted
@@ -49,7 +49,7 @@ from hapticd.recording.provenance import SCHEMA
 from hapticd.run.replay import Difference, Segment, difference, replay
 from hapticd.settings.toml import SAMPLES_BYTES, regular
 
-__all__ = ["ReplayResult", "is_recording", "open_recording", "replay_recording", "total_j"]
+__all__ = ["ReplayResult", "open_recording", "replay_recording", "total_j"]
 
 # --- opening --------------------------------------------------------------------------------------
 
@@ -250,15 +250,6 @@ def open_recording(path: Path) -> Recording:
         growing = live.is_live(regular(path))
     with _damage(path, "recording" if growing else "HDF5 file"):
         return _live(path) if growing else _hdf5(path)
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a file is a recording of this package, finished or not."""
-    try:
-        with open_recording(path):
-            return True
-    except HapticdError:
-        return False
 
 
 def _live(path: Path) -> Recording:

@@ -45,9 +45,7 @@ from hapticd.settings.toml import regular
 
 __all__ = [
     "JSON_ATTRIBUTES",
-    "PROBE_COLUMNS",
     "REMARK_ATTRIBUTES",
-    "SERVO_COLUMNS",
     "ReadColumn",
     "Stretch",
     "pack",
@@ -63,8 +61,6 @@ __all__ = [
 SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "
 TAIL_BYTES = 8192  # at the end of a text file that contain the remark
-SERVO_COLUMNS = {"tick", "revision", "force_n"}  # columns of a table of ticks
-PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # columns of a table of probe samples
 RENDERED_COLUMNS = (
     "stiffness_n_per_m",
     "virtual_damping_ns_per_m",
@@ -111,24 +107,6 @@ def remark(attributes: Mapping[str, Any], trial: Stretch | None) -> str:
     if trial is not None:
         content["trial"] = asdict(trial)
     return f"{REMARK}{json.dumps(content, default=np.generic.item)}\n"
-
-
-def read_remark(path: Path) -> dict[str, Any] | None:
-    """Return the content of the last line of a text file; None if this package did not write it.
-    ConfigError if the line was changed. OSError if the file cannot be read.
-    """
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(0, size - TAIL_BYTES))
-        last = file.read().decode(errors="replace").strip().splitlines()[-1:]
-    if not last or not last[0].startswith(REMARK):
-        return None
-    try:
-        return dict(json.loads(last[0].removeprefix(REMARK)))
-    except (ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{path}: its last line was changed ({error}); export it again"
-        ) from error
 
 
 def stretch(column: ReadColumn, attributes: Mapping[str, Any], name: str) -> Stretch:
@@ -394,3 +372,21 @@ def _table(recording: Recording, group: str, path: Path, remark: str) -> Path:
     except OSError as error:
         raise HapticdError(f"{path}: {error.strerror}; choose another name") from error
     return path
+
+
+def read_remark(path: Path) -> dict[str, Any] | None:
+    """Return the content of the last line of a text file; None if this package did not write it.
+    ConfigError if the line was changed. OSError if the file cannot be read.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - TAIL_BYTES))
+        last = file.read().decode(errors="replace").strip().splitlines()[-1:]
+    if not last or not last[0].startswith(REMARK):
+        return None
+    try:
+        return dict(json.loads(last[0].removeprefix(REMARK)))
+    except (ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{path}: its last line was changed ({error}); export it again"
+        ) from error

@@ -40,7 +40,7 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.core.params import CALIBRATION_DAYS, to_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.answers import Hello, Status
@@ -48,18 +48,14 @@ from hapticd.settings.toml import SETTINGS_BYTES, regular
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = [
-    "RECORDING_LIBRARIES",
     "CalibrationDoubt",
     "certificate_beside",
     "certificate_of",
     "certificate_path",
-    "commit",
     "doubts",
-    "processor",
+    "here",
     "provenance",
-    "refuse_doubts",
     "used_scales",
-    "versions",
 ]
 
 # --- calibrations ---------------------------------------------------------------------------------
@@ -156,17 +152,6 @@ def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.dat
         yield f"it is {age} days old ({scale['measured_on']}), {most} days are the limit"
     elif age < -1:  # a day for time zones
         yield f"it is dated {scale['measured_on']}, after today ({day.isoformat()})"
-
-
-def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
-    """Raise AnalysisError that lists `found`, if there are any."""
-    if found:
-        steps = ", ".join(dict.fromkeys(one.remedy for one in found))
-        listed = "; ".join(map(str, found))
-        raise AnalysisError(
-            f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for"
-            " the trial with --uncalibrated: its verdict then says so"
-        )
 
 
 # --- certificate ----------------------------------------------------------------------------------
@@ -319,6 +304,12 @@ def commit(folder: Path = Path(hapticd.__file__).parent) -> str:
         ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
+
+
+def here() -> dict[str, Any]:
+    """Return the software and the processor of this process, for a certificate."""
+    software = provenance(commit=commit(), recording=versions(RECORDING_LIBRARIES))
+    return {"software": software, "cpu": processor()}
 
 
 def processor() -> str:

@@ -25,7 +25,6 @@ from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.core.units import NS_PER_S, Clock, MonotonicClock
 from hapticd.protocol.answers import Hello, Status
 from hapticd.recording import live, pack
-from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording
 
 __all__ = ["RecordingParams", "RecordingProgress", "record"]
@@ -110,7 +109,7 @@ class Recorder:
         self._params = params
         self._clock = clock
         self._free_bytes = free_bytes
-        self._writer: Writer | None = None
+        self._writer: live.Writer | None = None
         self._early: list[Message] = []  # for replays: messages before the first records
 
     def run(
@@ -120,7 +119,7 @@ class Recorder:
         answers = (self._source.hello(), self._source.status())
         try:
             with (
-                closing(self._source.messages(TOPICS, FLUSH_PERIOD_S)) as messages,
+                closing(self._source.messages(live.TOPICS, FLUSH_PERIOD_S)) as messages,
                 ThreadPoolExecutor(1) as disk,
             ):
                 ended = self._loop(messages, answers, disk, should_stop, tell)
@@ -168,7 +167,7 @@ class Recorder:
             ended = ended or self._over(now_ns - received_ns, should_stop)
         return ended
 
-    def _progress(self, writer: Writer) -> RecordingProgress:
+    def _progress(self, writer: live.Writer) -> RecordingProgress:
         size = self._params.part.stat().st_size
         return RecordingProgress(writer.records, writer.seconds, writer.missing["servo.raw"], size)
 
@@ -181,7 +180,7 @@ class Recorder:
         elif topic == "servo.raw":
             header = BlockDecoder().decode(payload).header
             attributes = of_recording(*answers, header, self._params.note)
-            self._writer = Writer(self._params.part, attributes, self._params.seconds)
+            self._writer = live.Writer(self._params.part, attributes, self._params.seconds)
             for message in ((topic, payload), *self._early):
                 self._writer.take(*message)
 

@@ -49,15 +49,7 @@ from tomlkit.items import InlineTable, Table
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import to_plain
 from hapticd.protocol.answers import Hello, Status
-from hapticd.recording.provenance import (
-    RECORDING_LIBRARIES,
-    certificate_path,
-    commit,
-    processor,
-    provenance,
-    used_scales,
-    versions,
-)
+from hapticd.recording.provenance import certificate_path, here, used_scales
 from hapticd.rig.experiment import BoardIdentity
 from hapticd.rig.result import Change, StepResult, Written
 from hapticd.settings.config import keys_of
@@ -249,6 +241,7 @@ def content(
     """
     servo = to_plain(hello.servo)
     device = servo["device"]
+    own = here()
     done = [one for one in result.findings if one.verdict != "not done"]
     left = [one.what for one in result.findings if one.verdict == "not done"]
     return {
@@ -271,10 +264,10 @@ def content(
         "verified": [asdict(one) for one in done],
         "not_verified": [*left, *NOT_VERIFIED],
         "calibrations": _calibrations(device),
-        "software": provenance(commit=commit(), recording=versions(RECORDING_LIBRARIES)),
+        "software": own["software"],
         "machine": {
             "kernel": f"{platform.system()} {platform.release()}",
-            "cpu": processor(),
+            "cpu": own["cpu"],
             "realtime": status.servo.get("realtime", {}),
         },
     }

@@ -36,7 +36,7 @@ from hapticd.mailbox.layout import State
 from hapticd.protocol.answers import Status
 from hapticd.usb import codec
 
-__all__ = ["BoardIdentity", "collect", "identity_of"]
+__all__ = ["collect", "identity_of"]
 
 TICKS = "servo.raw"
 PROBE = "probe"

@@ -1,7 +1,7 @@
 """The gateway process: `python -m hapticd.run.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
-or SIGINT. It starts the worker of its guard (`guard.main`), which ends with it. `--parent PID` is
+or SIGINT. It starts the worker of its guard (`guard.worker`), which ends with it. `--parent PID` is
 the supervisor with which it ends. A byte written to the descriptor of `--ready FD` signals that it
 serves. Exit code 0: ended by a signal; 1: a hapticd error, printed in one line on stderr; 78: the
 configuration is wrong and a restart would not help.
@@ -18,15 +18,16 @@ from typing import TYPE_CHECKING
 
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GatewaySetup, read_params
-from hapticd.core.process import Feeder, die_with_parent, launch, notify, on_stop
+from hapticd.core.process import die_with_parent, launch, on_stop
 from hapticd.core.units import MonotonicClock
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
+from hapticd.run.watchdog import Feeder, notify
 
 if TYPE_CHECKING:
     import subprocess
 
-GUARD_MODULE = "hapticd.guard.main"
+GUARD_MODULE = "hapticd.guard.worker"
 
 
 def main(arguments: list[str]) -> int:

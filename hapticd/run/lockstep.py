@@ -17,7 +17,7 @@ Limitations: it gives no information on real time; a stalled host cannot be obse
 """
 
 import tempfile
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ from hapticd.core.params import (
     UsbParams,
     to_plain,
 )
-from hapticd.core.units import VirtualClock
+from hapticd.core.units import Clock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, State, Value
@@ -45,10 +45,10 @@ from hapticd.protocol.answers import Receipt
 from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.protocol.leases import MEASURING
 from hapticd.protocol.schemas import ADAPTER, LeaseRequest
-from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
+from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock
 from hapticd.protocol.view import as_records, configured
 from hapticd.run.servo_main import simulated_backend
-from hapticd.servo.late import virtual_wait
+from hapticd.servo.late import Wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.plan import masked_places
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
@@ -170,7 +170,8 @@ def scene_params(
     # imported here: a lock-step run alone needs neither numpy nor pydantic
     from hapticd.model.compose import compose
     from hapticd.model.effects import sample_timing
-    from hapticd.settings.build import board_of, device_params, smoothing_hz
+    from hapticd.model.scene import smoothing_hz
+    from hapticd.settings.build import board_of, device_params
     from hapticd.settings.scene import build_scene, load_files
 
     files = load_files(name)
@@ -315,7 +316,7 @@ class LockStepClient(Client):
             block = RingBlock(1, self._seen, 0, data, as_records(data))
             self._seen += len(block.records)
             if "servo.raw" in topics:
-                yield "servo.raw", raw_message(block, origin)
+                yield "servo.raw", block.message(origin)
             if "probe" in topics:
                 yield from (("probe", payload) for payload in probe.messages(block, origin))
             yield None
@@ -335,3 +336,13 @@ class LockStepClient(Client):
         data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
+
+
+def virtual_wait(clock: Clock) -> Wait:
+    """Return `wait` on a clock that jumps."""
+
+    def wait(deadline_ns: int, _rehearse: Callable[[], object]) -> int:
+        clock.sleep_until_ns(deadline_ns)
+        return clock.now_ns()
+
+    return wait

@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import BoardParams, ServoParams, read_params
-from hapticd.core.process import die_with_parent, notify, on_stop
+from hapticd.core.process import die_with_parent, on_stop
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, MonotonicClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.run.watchdog import start_feeder
+from hapticd.run.watchdog import notify, start_feeder
 from hapticd.servo import host
 from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop

@@ -44,7 +44,7 @@ from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, Ser
 from hapticd.core.process import launch
 from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.client_side import UNKNOWN, WIDEST, environment_limits
+from hapticd.mailbox.client_side import WIDEST, environment_limits
 from hapticd.mailbox.daemons import console_place
 from hapticd.protocol.limits import CommandLimits
 from hapticd.settings.build import (
@@ -91,7 +91,7 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
 def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
     """Return the limits of K, B and M for clients, from the [model] of the device file."""
     if settings.device.model is None:
-        return environment_limits(UNKNOWN)
+        return environment_limits({})
     from hapticd.guard.safe_region import ranges_of  # numpy, already loaded for the guard's model
 
     return environment_limits(ranges_of(guard))

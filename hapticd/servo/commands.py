@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
-from hapticd.core.faults import BY_CODE, FROM_GATEWAY
+from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import (
@@ -50,6 +50,9 @@ from hapticd.servo.plan import (
     without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, Push, State
+
+# faults that the gateway may detect and request
+FROM_GATEWAY = frozenset({BY_CODE["damping_not_delivered"].number})
 
 MOST_SCHEDULED = 16
 # places of a bounded change that its end does not restore

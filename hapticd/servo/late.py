@@ -49,7 +49,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.mailbox import layout
 from hapticd.mailbox.daemons import READ_BYTES
 from hapticd.mailbox.layout import Flag, LateCause
@@ -59,7 +59,7 @@ from hapticd.servo.step import Step
 from hapticd.usb.codec import HEAD_ENCODER, HEAD_STATUS, HEAD_TEMPERATURE
 from hapticd.usb.device import SEED, Device
 
-__all__ = ["Wait", "first_deadline", "spinning_wait", "virtual_wait"]
+__all__ = ["Wait", "first_deadline", "spinning_wait"]
 
 # --- wait -----------------------------------------------------------------------------------------
 
@@ -86,16 +86,6 @@ def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
         while now < deadline_ns:
             now = clock()
         return now
-
-    return wait
-
-
-def virtual_wait(clock: Clock) -> Wait:
-    """Return `wait` on a clock that jumps."""
-
-    def wait(deadline_ns: int, _rehearse: Callable[[], object]) -> int:
-        clock.sleep_until_ns(deadline_ns)
-        return clock.now_ns()
 
     return wait
 

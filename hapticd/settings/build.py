@@ -14,26 +14,11 @@ from hapticd.core.params import (
     DeviceParams,
     GatewayParams,
     GuardParams,
-    ScaleParams,
     ServoParams,
     UsbParams,
 )
-from hapticd.model.effects import (
-    DampingDac,
-    Delay,
-    Effect,
-    Encoder,
-    ForceDac,
-    Masses,
-    Motor,
-    ProbeAdc,
-    SampleTiming,
-    Saturation,
-    Smoothing,
-    Viscous,
-    WorkspaceEnds,
-    sample_timing,
-)
+from hapticd.model.effects import Effect
+from hapticd.model.scene import converter_effects, rigid_body, smoothing_hz, timing_of
 from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
@@ -49,7 +34,6 @@ __all__ = [
     "guard_params",
     "rigid_effects",
     "servo_params",
-    "smoothing_hz",
 ]
 
 # fields of BoardParams: the field of [simulation.board] that replaces it, and its full count
@@ -63,7 +47,6 @@ FULL_SCALES = {
     "voltage_v_per_count": ("voltage_full_scale_v", I16_HIGHEST),
 }
 OVERSPEED = 0.7  # of the speed that counts as a sensor fault: see servo.safety
-DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
 def servo_params(settings: Settings, instance: str) -> ServoParams:
@@ -97,7 +80,7 @@ def board_params(settings: Settings) -> BoardParams | None:
     if not device.simulated:
         return None
     built = device_effects(device, simulation.effects)
-    phase, lag_periods = _timing(built)
+    phase, lag_periods = timing_of(built)
     board = board_of(
         device,
         settings.config.realtime.rate_hz,
@@ -135,27 +118,19 @@ def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> 
     model = device.model
     if model is None:
         return ()
-    return effects_of(model, model.effects if names is None else names, converter_effects(device))
+    return effects_of(
+        model, model.effects if names is None else names, converter_effects(device_params(device))
+    )
 
 
 def rigid_effects(device: DeviceFile) -> tuple[Effect, ...]:
     """Return the effects of a simulated board with one rigid mass, latched at the default phase;
     none for a device with a model or with neither.
     """
-    plant = device.plant
-    if plant is None:
+    if device.plant is None:
         return ()
-    return (
-        Masses(rotor_kg=plant.mass_kg),
-        Motor(
-            torque_constant_nm_per_a=plant.torque_constant_n_per_a,
-            lever_m=1.0,
-            resistance_ohm=plant.winding_ohm,
-        ),
-        Viscous(rotor_ns_per_m=plant.viscous_ns_per_m),
-        WorkspaceEnds(lower_m=plant.lower_stop_m, upper_m=plant.upper_stop_m),
-        Delay(periods=1.0 - DEFAULT_PHASE),
-        *converter_effects(device).values(),
+    return rigid_body(
+        device_params(device), **device.plant.model_dump(exclude={"ambient_c", "source"})
     )
 
 
@@ -210,19 +185,6 @@ def _trim_ohm(device: DeviceFile) -> float:
     """Return the ohm of the resistance DAC at its full count, with its sign; 0 without one."""
     table = device.resistance
     return 0.0 if table is None else table.sign * table.full_scale_ohm
-
-
-def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
-    """Return the timing of a board with the device's transport delay, or the default
-    without one.
-    """
-    delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
-    return sample_timing(delay) if delay else SampleTiming(DEFAULT_PHASE, 0)
-
-
-def smoothing_hz(effects: tuple[Effect, ...]) -> float:
-    """Return the corner [Hz] of the low-pass on the commanded force; 0 without one."""
-    return next((one.corner_hz for one in effects if isinstance(one, Smoothing)), 0.0)
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
@@ -345,37 +307,3 @@ def environment_params(asked: EnvironmentTable, travel: Travel) -> Environment:
             travel.lower_m + ends.margin_m, travel.upper_m - ends.margin_m, ends.stiffness_n_per_m
         ),
     )
-
-
-def converter_effects(device: DeviceFile) -> dict[str, Effect]:
-    """Return quantisation and limits by the device's own scales, by key.
-
-    The source of a scale becomes the note.
-    """
-    scales = device_params(device)
-    return {
-        "encoder": Encoder(
-            quantum_m=scales.position.per_count,
-            source=_tag(scales.position),
-            note=scales.position.source,
-        ),
-        "force_dac": ForceDac(quantum_n=scales.force.per_count, note="16 bits"),
-        "saturation": Saturation(
-            limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source
-        ),
-        "damping_dac": DampingDac(
-            quantum_ns_per_m=scales.active_damping.per_count, note=scales.active_damping.source
-        ),
-        "probe_adc": ProbeAdc(
-            velocity_quantum_m_per_s=scales.probe_velocity.per_count,
-            torque_quantum_n=scales.probe_torque.per_count,
-            note=scales.probe_velocity.source,
-        ),
-    }
-
-
-def _tag(scale: ScaleParams) -> str:
-    """Return the tag of an effect with the numbers of a scale."""
-    if scale.measured:
-        return "calibrated"
-    return "paper" if scale.measured_by == "paper" else "inferred"

@@ -236,17 +236,10 @@ def keys_of(table: Any, path: KeyPath = ()) -> list[str]:
     for step in path:
         # a number is an index into a list of tables: the table is the same
         if isinstance(step, str):
-            table = _table_of(get_type_hints(table)[step])
+            hint = get_type_hints(table)[step]  # Table, Table | None or tuple[Table, ...]
+            kinds = (hint, *get_args(hint))
+            table = next(one for one in kinds if hasattr(one, "model_fields") or is_dataclass(one))
     return list(getattr(table, "model_fields", None) or table.__dataclass_fields__)
-
-
-def _table_of(hint: Any) -> Any:
-    """Return the table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
-    return next(
-        kind
-        for kind in (hint, *get_args(hint))
-        if hasattr(kind, "model_fields") or is_dataclass(kind)
-    )
 
 
 # --- hapticd.toml ---------------------------------------------------------------------------------

@@ -32,8 +32,8 @@ from hapticd.core.params import (
     ENERGY_LIMIT_J,
     RAMP_ENERGY_J,
     HomeParams,
-    MeasuredBy,
     ResistanceParams,
+    RigStep,
     ScaleParams,
 )
 from hapticd.core.units import COPPER_PER_K
@@ -42,6 +42,8 @@ from hapticd.settings.config import TomlTable
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["DeviceFile", "signs_hash"]
+
+MeasuredBy = Literal[RigStep, "paper", ""]
 
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")

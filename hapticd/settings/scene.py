@@ -45,10 +45,10 @@ from hapticd.core.params import (
 )
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.effects import Effect, Motor, WindingTemperature
-from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.model.scene import DampingStep, Excitation, Scene, converter_effects
 from hapticd.settings.build import (
-    converter_effects,
     device_effects,
+    device_params,
     environment_params,
     guard_params,
     rigid_effects,
@@ -177,7 +177,7 @@ def build_scene(files: SceneFiles) -> Scene:
         name=name,
         title=scene.title,
         device=scene.device,
-        effects=effects_of(device.model, scene.effects, converter_effects(device)),
+        effects=effects_of(device.model, scene.effects, converter_effects(device_params(device))),
         environment=environment_params(scene.environment, device.travel),
         active_damping=steps if steps and steps[0].at_s == 0.0 else (DampingStep(0.0, 0.0), *steps),
         excitation=scene.excitation,

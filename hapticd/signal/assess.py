@@ -65,7 +65,6 @@ __all__ = [
     "assess",
     "changing",
     "periodic",
-    "periodic_findings",
 ]
 
 # --- periodic force -------------------------------------------------------------------------------

@@ -33,8 +33,6 @@ from hapticd.signal.impedance import impedance, relative_sd
 from hapticd.signal.matching import bisquare_fit
 from hapticd.signal.spectra import Spectra
 
-__all__ = ["unit_findings"]
-
 SKEW_BAND = (0.06, 0.4)  # of the sample rate: above K, B and M, below the sensors' filters
 SEGMENT = 1.08  # ratio of the ends of a stretch of frequencies
 MASS_SLOPE = (0.5, 1.7)  # of ln|Z| over ln f

@@ -38,6 +38,7 @@ equal error in the result); sums over more than one level of damping.
 """
 
 from collections.abc import Sequence
+from enum import IntEnum
 from math import hypot, inf, sqrt
 from typing import NamedTuple
 
@@ -48,21 +49,12 @@ from hapticd.core.params import DeviceParams, ServoParams
 from hapticd.core.units import COPPER_PER_K
 
 __all__ = [
-    "ACCELERATION",
     "CALIBRATION",
-    "COLUMNS",
-    "FORCE",
     "LAG_S",
-    "MOTOR",
-    "NOTHING",
-    "ONE",
-    "RATE",
-    "SEEN",
     "SIMPSON",
-    "VELOCITY",
-    "VOLTAGE",
     "WINDOW",
     "Block",
+    "Column",
     "Estimate",
     "estimate",
 ]
@@ -83,16 +75,19 @@ GAIN = 0.5  # uncertainty of the amplifier's gain about 1
 RESIDUAL = 0.15  # share of the damping that residual resistance may remove
 MODEL = 0.005  # of the target's variation: error of the equations
 
-# columns of the sums of products: of samples, and of means over WINDOW periods
-COLUMNS = 8
-FORCE = 0  # commanded, as it arrives at the circuit
-ONE = 1
-SEEN = 2  # velocity, by the back-EMF
-MOTOR = 3  # force, by the current
-VELOCITY = 4  # by the encoder
-ACCELERATION = 5
-VOLTAGE = 6
-RATE = 7  # of FORCE
+
+class Column(IntEnum):
+    """Columns of the sums of products: of samples, and of means over WINDOW periods."""
+
+    FORCE = 0  # commanded, as it arrives at the circuit
+    ONE = 1
+    SEEN = 2  # velocity, by the back-EMF
+    MOTOR = 3  # force, by the current
+    VELOCITY = 4  # by the encoder
+    ACCELERATION = 5
+    VOLTAGE = 6
+    RATE = 7  # of FORCE
+
 
 NO_CURRENT = "unknown: the board sends no current, and no voltage over a known resistance"
 NO_MOTION = "unknown: the handle hardly moves"
@@ -103,13 +98,13 @@ TOO_WIDE = "unknown: this motion cannot separate force and velocity"
 class Estimate(NamedTuple):
     """The delivered damping; None if unknown, with the reason in `basis`."""
 
-    estimate_ns_per_m: float | None
-    low: float | None
-    high: float | None
-    commanded: float
-    ratio: float | None
-    basis: str
-    seconds: float  # of motion used
+    estimate_ns_per_m: float | None = None
+    low: float | None = None
+    high: float | None = None
+    commanded: float = 0.0
+    ratio: float | None = None
+    basis: str = TOO_LITTLE
+    seconds: float = 0.0  # of motion used
 
 
 class Block(NamedTuple):
@@ -117,9 +112,6 @@ class Block(NamedTuple):
 
     fine: Floats  # of samples (columns, columns)
     coarse: Floats  # of means
-
-
-NOTHING = Estimate(None, None, None, 0.0, None, TOO_LITTLE, 0.0)
 
 
 class Slope(NamedTuple):
@@ -138,13 +130,13 @@ def estimate(
     """Estimate the delivered damping from `blocks` (LEAST to 16 with motion), with `commanded` [N
     s/m] in effect and the winding at `winding_c` [degC, NaN: not known].
     """
-    nothing = NOTHING._replace(commanded=commanded)
-    telling = [block for block in blocks if block.coarse[ONE, ONE]]
+    nothing = Estimate(commanded=commanded)
+    telling = [block for block in blocks if block.coarse[Column.ONE, Column.ONE]]
     if len(telling) < LEAST:
         return nothing._replace(basis=TOO_LITTLE)
     fine = _with_and_without([block.fine for block in telling])
     coarse = _with_and_without([block.coarse for block in telling])
-    seconds = float(coarse[0, ONE, ONE]) * WINDOW / servo.realtime.rate_hz
+    seconds = float(coarse[0, Column.ONE, Column.ONE]) * WINDOW / servo.realtime.rate_hz
     try:
         slope = _slope(fine, coarse, servo, max(commanded, LEAST_NS_PER_M), winding_c)
     except np.linalg.LinAlgError:
@@ -185,13 +177,16 @@ def _slope(
     current_n = device.motor_n_per_a * device.current.per_count
     counted_m_per_s = device.position.per_count * servo.realtime.rate_hz / WINDOW
     noise = counted_m_per_s**2 / 6.0  # of the difference of two counts
-    if not _varies(coarse[0], VELOCITY, counted_m_per_s):
+    if not _varies(coarse[0], Column.VELOCITY, counted_m_per_s):
         return NO_MOTION
-    if not _varies(fine[0], MOTOR, current_n):
-        if not _varies(fine[0], VOLTAGE, device.voltage.per_count) or device.winding_ohm <= 0.0:
+    if not _varies(fine[0], Column.MOTOR, current_n):
+        if (
+            not _varies(fine[0], Column.VOLTAGE, device.voltage.per_count)
+            or device.winding_ohm <= 0.0
+        ):
             return NO_CURRENT
         return _by_voltage(coarse, device, scale_ns_per_m, winding_c, noise)
-    if not _varies(fine[0], SEEN, device.emf_velocity.per_count):
+    if not _varies(fine[0], Column.SEEN, device.emf_velocity.per_count):
         return _by_encoder(coarse, current_n, scale_ns_per_m, noise)
     return _by_emf(fine, coarse, current_n, device, scale_ns_per_m, noise)
 
@@ -202,8 +197,8 @@ def _varies(sums: Floats, column: int, quantum: float) -> bool:
 
 
 def _variance(sums: Floats, column: int) -> float:
-    count = sums[ONE, ONE]
-    return float(sums[column, column] / count - (sums[column, ONE] / count) ** 2)
+    count = sums[Column.ONE, Column.ONE]
+    return float(sums[column, column] / count - (sums[column, Column.ONE] / count) ** 2)
 
 
 def _by_emf(
@@ -215,13 +210,18 @@ def _by_emf(
     noise: float,
 ) -> Slope:
     counted = device.emf_velocity.per_count**2 / 12.0
-    of_force = (Known(FORCE, 1.0, GAIN), Known(RATE, -AMPLIFIER_S, AMPLIFIER_S))
-    of_seen = fit(fine, MOTOR, (Known(SEEN), *of_force, Known(ONE)), current_n)
-    residual = Known(FORCE, 0.0, RESIDUAL / scale_ns_per_m)
+    of_force = (Known(Column.FORCE, 1.0, GAIN), Known(Column.RATE, -AMPLIFIER_S, AMPLIFIER_S))
+    of_seen = fit(fine, Column.MOTOR, (Known(Column.SEEN), *of_force, Known(Column.ONE)), current_n)
+    residual = Known(Column.FORCE, 0.0, RESIDUAL / scale_ns_per_m)
     sees = fit(
         coarse,
-        SEEN,
-        (Known(VELOCITY), residual, Known(ACCELERATION, -LAG_S, LAG_S), Known(ONE)),
+        Column.SEEN,
+        (
+            Known(Column.VELOCITY),
+            residual,
+            Known(Column.ACCELERATION, -LAG_S, LAG_S),
+            Known(Column.ONE),
+        ),
         device.emf_velocity.per_count / sqrt(WINDOW),
     )
     return Slope(
@@ -234,10 +234,10 @@ def _by_emf(
 
 
 def _by_encoder(coarse: Floats, current_n: float, scale_ns_per_m: float, noise: float) -> Slope:
-    lag = Known(ACCELERATION, scale_ns_per_m * LAG_S, scale_ns_per_m * LAG_S)
-    late = Known(RATE, -AMPLIFIER_S, AMPLIFIER_S)
-    known = (Known(VELOCITY), Known(FORCE, 1.0, GAIN), late, lag, Known(ONE))
-    found = fit(coarse, MOTOR, known, current_n / sqrt(WINDOW))
+    lag = Known(Column.ACCELERATION, scale_ns_per_m * LAG_S, scale_ns_per_m * LAG_S)
+    late = Known(Column.RATE, -AMPLIFIER_S, AMPLIFIER_S)
+    known = (Known(Column.VELOCITY), Known(Column.FORCE, 1.0, GAIN), late, lag, Known(Column.ONE))
+    found = fit(coarse, Column.MOTOR, known, current_n / sqrt(WINDOW))
     return Slope(
         -found.values,
         found.deviation,
@@ -255,12 +255,12 @@ def _by_voltage(
     volt_per_n = device.winding_ohm * (1.0 + COPPER_PER_K * warmer_k) / device.motor_n_per_a
     lag = scale_ns_per_m * LAG_S * volt_per_n
     known = (
-        Known(VELOCITY),
-        Known(FORCE, volt_per_n, GAIN * volt_per_n),
-        Known(ACCELERATION, lag, lag),
-        Known(ONE),
+        Known(Column.VELOCITY),
+        Known(Column.FORCE, volt_per_n, GAIN * volt_per_n),
+        Known(Column.ACCELERATION, lag, lag),
+        Known(Column.ONE),
     )
-    found = fit(coarse, VOLTAGE, known, device.voltage.per_count / sqrt(WINDOW))
+    found = fit(coarse, Column.VOLTAGE, known, device.voltage.per_count / sqrt(WINDOW))
     crowbar = device.motor_n_per_a / volt_per_n
     return Slope(
         crowbar - found.values / volt_per_n,
@@ -304,7 +304,7 @@ def fit(sums: Floats, target: int, known: tuple[Known, ...], quantum: float) -> 
     size = np.where(size > 0.0, size, 1.0)
     normal = normal / np.outer(size, size)
     right = right / size
-    count = float(sums[0, ONE, ONE])
+    count = float(sums[0, Column.ONE, Column.ONE])
     plainly = np.linalg.lstsq(normal[0], right[0], rcond=1e-10)[0]
     unexplained = sums[0, target, target] - right[0] @ plainly
     variance = max(

@@ -85,7 +85,6 @@ __all__ = [
     "Record",
     "escape_findings",
     "examine",
-    "leakage_findings",
     "outgrows_walk",
 ]
 

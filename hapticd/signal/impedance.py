@@ -23,7 +23,7 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.signal.spectra import Spectra
 
-__all__ = ["Estimator", "Impedance", "impedance", "relative_sd", "spread_of"]
+__all__ = ["Impedance", "impedance", "relative_sd", "spread_of"]
 
 Estimator = Literal["spa", "h_force"]
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
 
-__all__ = ["Gap", "bisquare_fit", "fitting", "interpolated"]
+__all__ = ["Gap", "fitting", "interpolated"]
 
 FLAT = 1e-6  # of the mean variance: below it the stretch has no signal
 ROUNDS = 12  # of a fit with weights

@@ -1,12 +1,12 @@
 """The passive set in the space of K, B and M, and the Z-width envelope over frequency.
 
-Limits (`axis_limit`, `set_limits`). A headline such as "K up to 600 N/m" can mean two things, which
-differ by a factor. The axis limit scans one parameter from 0 to its first failure with the others 0
-(`axis_limit`). The set limit is the maximum over the whole set (`set_limits`). Both are always
-reported together.
+Limits (`axis_limit`, `PassiveSet.limits`). A headline such as "K up to 600 N/m" can mean two
+things, which differ by a factor. The axis limit scans one parameter from 0 to its first failure
+with the others 0 (`axis_limit`). The set limit is the maximum over the whole set
+(`PassiveSet.limits`). Both are always reported together.
 
-Volume (`volume`). It is that of the grid's cells. Each cell counts by the share of it where the
-margin, linear between corners, is not negative.
+Volume (`PassiveSet.volume`). It is that of the grid's cells. Each cell counts by the share of it
+where the margin, linear between corners, is not negative.
 
 Boundary (`boundary`, for the directed search). If only yes and no are known, rays from inside the
 set find its boundary in the unit box. Their directions are spread evenly on the sphere (Fibonacci
@@ -14,7 +14,7 @@ spiral: Swinbank and Purser 2006). Each ray is bisected between its start, which
 end of the box.
 
 Limitations: a grid that does not reach beyond the set, because its limits are then those of the
-grid (`open_ends` lists them); a set that a ray leaves twice, of which one exit is found.
+grid (`PassiveSet.open_ends` lists them); a set that a ray leaves twice, of which one exit is found.
 
 Envelope (`Envelope`). The paper draws the Z-width as the largest and smallest passive |Z| and phase
 at every frequency. "The Z-width envelope is iteratively updated as successive trials are performed"
@@ -24,39 +24,30 @@ not widen the envelope. The uncertainty is that of the owner alone. The largest 
 exceeds the true maximum by about one of its standard deviations. Confirm an owner with a second
 trial before quoting it.
 
-Admittance (`admittance`). Its envelope has maximum and minimum exchanged: 1/|Z|, minus the phase.
+Admittance (`Envelope.admittance`). Its envelope has maximum and minimum exchanged: 1/|Z|, minus the
+phase.
 
 Trials on other frequencies, at another port or with another estimator are refused.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers, bisect
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.verdict import Verdict
 
 __all__ = [
     "AXES",
     "Edge",
     "Envelope",
     "PassiveSet",
-    "accepted",
-    "admittance",
     "ascending",
     "axis_limit",
     "grid",
-    "merged",
-    "of_one",
-    "of_predicted",
-    "open_ends",
-    "passive_set",
-    "set_limits",
-    "volume",
 ]
 
 AXES = ("K", "B", "M")
@@ -88,22 +79,50 @@ class PassiveSet:
         """Which points of the grid are passive, (nK, nB, nM)."""
         return np.asarray(self.margin >= 0.0)
 
+    @classmethod
+    def of(
+        cls, axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike
+    ) -> Self:
+        """Return the set from margins in the order of `grid`. AnalysisError unless the axes ascend
+        and the sizes match.
+        """
+        lists = tuple(np.asarray(axis, np.float64) for axis in axes)
+        shape = tuple(axis.size for axis in lists)
+        values = np.asarray(margin, np.float64)
+        ascending(lists)
+        if values.size != np.prod(shape):
+            raise AnalysisError(
+                f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments"
+            )
+        return cls((lists[0], lists[1], lists[2]), values.reshape(shape))
 
-def passive_set(
-    axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike], margin: npt.ArrayLike
-) -> PassiveSet:
-    """Return the set from margins in the order of `grid`. AnalysisError unless the axes ascend and
-    the sizes match.
-    """
-    lists = tuple(np.asarray(axis, np.float64) for axis in axes)
-    shape = tuple(axis.size for axis in lists)
-    values = np.asarray(margin, np.float64)
-    ascending(lists)
-    if values.size != np.prod(shape):
-        raise AnalysisError(
-            f"{values.size} margins for a grid of {' x '.join(map(str, shape))} environments"
-        )
-    return PassiveSet((lists[0], lists[1], lists[2]), values.reshape(shape))
+    def limits(self) -> Limits:
+        """Return the extremes over the whole set. AnalysisError for an empty one."""
+        if not self.passive.any():
+            raise AnalysisError("no environment of the grid is passive: there are no limits")
+        kept = [
+            axis[np.any(self.passive, axis=tuple(i for i in range(3) if i != place))]
+            for place, axis in enumerate(self.axes)
+        ]
+        return Limits(*((float(values[0]), float(values[-1])) for values in kept))
+
+    def open_ends(self) -> tuple[str, ...]:
+        """Return the ends of the grid that are passive, such as "K max", where the set may extend
+        further. K = 0 is not included, because K < 0 is active.
+        """
+        ends = []
+        for place, (name, axis) in enumerate(zip(AXES, self.axes, strict=True)):
+            for word, index in (("min", 0), ("max", -1)):
+                if name == "K" and word == "min" and axis[0] == 0.0:
+                    continue
+                if np.take(self.passive, index, axis=place).any():
+                    ends.append(f"{name} {word}")
+        return tuple(ends)
+
+    def volume(self) -> float:
+        """Return the volume of the set [N/m N s/m kg]."""
+        cell = np.prod(np.meshgrid(*(np.diff(axis) for axis in self.axes), indexing="ij"), axis=0)
+        return float((cell * _shares(self.margin)).sum())
 
 
 def ascending(axes: tuple[Floats, ...]) -> None:
@@ -117,37 +136,6 @@ def grid(axes: tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]) -> Floats:
     return np.stack(
         np.meshgrid(*(np.asarray(axis, np.float64) for axis in axes), indexing="ij"), axis=-1
     ).reshape(-1, 3)
-
-
-def set_limits(found: PassiveSet) -> Limits:
-    """Return the extremes over the whole set. AnalysisError for an empty one."""
-    if not found.passive.any():
-        raise AnalysisError("no environment of the grid is passive: there are no limits")
-    kept = [
-        axis[np.any(found.passive, axis=tuple(i for i in range(3) if i != place))]
-        for place, axis in enumerate(found.axes)
-    ]
-    return Limits(*((float(values[0]), float(values[-1])) for values in kept))
-
-
-def open_ends(found: PassiveSet) -> tuple[str, ...]:
-    """Return the ends of the grid that are passive, such as "K max", where the set may extend
-    further. K = 0 is not included, because K < 0 is active.
-    """
-    ends = []
-    for place, (name, axis) in enumerate(zip(AXES, found.axes, strict=True)):
-        for word, index in (("min", 0), ("max", -1)):
-            if name == "K" and word == "min" and axis[0] == 0.0:
-                continue
-            if np.take(found.passive, index, axis=place).any():
-                ends.append(f"{name} {word}")
-    return tuple(ends)
-
-
-def volume(found: PassiveSet) -> float:
-    """Return the volume of the set [N/m N s/m kg]."""
-    cell = np.prod(np.meshgrid(*(np.diff(axis) for axis in found.axes), indexing="ij"), axis=0)
-    return float((cell * _shares(found.margin)).sum())
 
 
 def axis_limit(
@@ -238,7 +226,6 @@ def distance(one: Floats, other: Floats) -> Floats:
 
 
 # --- envelope -------------------------------------------------------------------------------------
-Accept = Literal["judged", "within_90_deg"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,81 +262,76 @@ class Envelope:
         """Return the names of the trials that own the points of `edge`."""
         return [self.trials[index] for index in edge.owner]
 
+    @classmethod
+    def of_one(
+        cls,
+        name: str,
+        frequency_hz: Floats,
+        z: Complexes,
+        relative_sd: Floats,
+        port: str,
+        estimator: str,
+    ) -> Self:
+        """Return the envelope of one Z (F,) [N s/m] at `frequency_hz` (F,). `relative_sd` (F,) is
+        the standard deviation of ln|Z| and of the phase in radians.
+        """
+        owner = np.zeros(frequency_hz.size, np.int64)
+        size = Edge(np.abs(z), relative_sd, owner)
+        phase = Edge(np.degrees(np.angle(z)), np.degrees(relative_sd), owner)
+        return cls(frequency_hz, size, size, phase, phase, (name,), port, estimator)
 
-def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
-    """Whether a trial is accepted: as judged, or by the paper's rule. That rule rejects an unstable
-    trial and one that lost an edge of its band.
-    """
-    if accept == "judged":
-        return verdict.answer == "passive"
-    return verdict.within_90_deg and verdict.whole_band and verdict.stability != "unstable"
+    @classmethod
+    def predicted(cls, frequency_hz: Floats, z: Complexes) -> Self:
+        """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners: indices
+        (N,).
+        """
+        size = np.abs(z)
+        angle = np.degrees(np.angle(z))
+        none = np.zeros(frequency_hz.size)
 
+        def edge(values: Floats, which: Integers) -> Edge:
+            return Edge(np.take_along_axis(values, which[None], 0)[0], none, which)
 
-def of_one(
-    name: str, frequency_hz: Floats, z: Complexes, relative_sd: Floats, port: str, estimator: str
-) -> Envelope:
-    """Return the envelope of one Z (F,) [N s/m] at `frequency_hz` (F,). `relative_sd` (F,) is the
-    standard deviation of ln|Z| and of the phase in radians.
-    """
-    owner = np.zeros(frequency_hz.size, np.int64)
-    size = Edge(np.abs(z), relative_sd, owner)
-    phase = Edge(np.degrees(np.angle(z)), np.degrees(relative_sd), owner)
-    return Envelope(frequency_hz, size, size, phase, phase, (name,), port, estimator)
+        return cls(
+            frequency_hz,
+            edge(size, size.argmax(0)), edge(size, size.argmin(0)),
+            edge(angle, angle.argmax(0)), edge(angle, angle.argmin(0)),
+            tuple(str(place) for place in range(len(z))), "probe", "spa",
+        )  # fmt: skip
 
-
-def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
-    """Return the envelope of predicted Z (N, F) [N s/m], without uncertainty; owners: indices
-    (N,).
-    """
-    size = np.abs(z)
-    angle = np.degrees(np.angle(z))
-    none = np.zeros(frequency_hz.size)
-
-    def edge(values: Floats, which: Integers) -> Edge:
-        return Edge(np.take_along_axis(values, which[None], 0)[0], none, which)
-
-    return Envelope(
-        frequency_hz,
-        edge(size, size.argmax(0)), edge(size, size.argmin(0)),
-        edge(angle, angle.argmax(0)), edge(angle, angle.argmin(0)),
-        tuple(str(place) for place in range(len(z))), "probe", "spa",
-    )  # fmt: skip
-
-
-def merged(found: Envelope, new: Envelope) -> Envelope:
-    """Return the envelope of the trials of both. AnalysisError if frequencies, ports or estimators
-    differ.
-    """
-    if found.kind != "impedance":
-        raise AnalysisError(
-            "an admittance envelope cannot be widened; widen the impedance envelope and take its"
-            " admittance"
+    def merged(self, new: "Envelope") -> "Envelope":
+        """Return the envelope of the trials of both. AnalysisError if frequencies, ports or
+        estimators differ.
+        """
+        if self.kind != "impedance":
+            raise AnalysisError(
+                "an admittance envelope cannot be widened; widen the impedance envelope and take"
+                " its admittance"
+            )
+        _alike(self, new)
+        before = len(self.trials)
+        return replace(
+            self,
+            upper=_outer(self.upper, new.upper, before, 1.0),
+            lower=_outer(self.lower, new.lower, before, -1.0),
+            phase_upper=_outer(self.phase_upper, new.phase_upper, before, 1.0),
+            phase_lower=_outer(self.phase_lower, new.phase_lower, before, -1.0),
+            trials=(*self.trials, *new.trials),
         )
-    _alike(found, new)
-    before = len(found.trials)
-    return replace(
-        found,
-        upper=_outer(found.upper, new.upper, before, 1.0),
-        lower=_outer(found.lower, new.lower, before, -1.0),
-        phase_upper=_outer(found.phase_upper, new.phase_upper, before, 1.0),
-        phase_lower=_outer(found.phase_lower, new.phase_lower, before, -1.0),
-        trials=(*found.trials, *new.trials),
-    )
 
-
-def admittance(found: Envelope) -> Envelope:
-    """Return the envelope of Y = 1/Z; for an admittance envelope, that of Z."""
-    kind = "admittance" if found.kind == "impedance" else "impedance"
-    turned = [replace(edge, value=1.0 / edge.value) for edge in (found.lower, found.upper)]
-    phases = [replace(edge, value=-edge.value) for edge in (found.phase_lower, found.phase_upper)]
-    return replace(
-        found,
-        upper=turned[0],
-        lower=turned[1],
-        phase_upper=phases[0],
-        phase_lower=phases[1],
-        kind=kind,
-    )
+    def admittance(self) -> "Envelope":
+        """Return the envelope of Y = 1/Z; for an admittance envelope, that of Z."""
+        kind = "admittance" if self.kind == "impedance" else "impedance"
+        turned = [replace(edge, value=1.0 / edge.value) for edge in (self.lower, self.upper)]
+        phases = [replace(edge, value=-edge.value) for edge in (self.phase_lower, self.phase_upper)]
+        return replace(
+            self,
+            upper=turned[0],
+            lower=turned[1],
+            phase_upper=phases[0],
+            phase_lower=phases[1],
+            kind=kind,
+        )
 
 
 def _outer(old: Edge, new: Edge, before: int, sense: float) -> Edge:

@@ -53,7 +53,7 @@ from hapticd.signal.covariances import (
     same_length,
 )
 
-__all__ = ["DEFAULT_LAG", "Spectra", "SpectralStream", "corrected", "grid_frequencies", "spa"]
+__all__ = ["DEFAULT_LAG", "Spectra", "SpectralStream", "grid_frequencies", "spa"]
 
 CHANNELS = ("frequency_hz", "velocity", "force", "cross")  # arrays (F,) of `Spectra`
 NEAR = 1e-6  # of the spacing of the lines: a closer frequency is that line

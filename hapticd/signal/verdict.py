@@ -70,7 +70,6 @@ __all__ = [
     "FORESEEABLE",
     "LEAST_FREEDOM",
     "NEAR_HZ",
-    "NOTHING_JUDGED",
     "Judged",
     "Verdict",
     "half_width",
@@ -207,8 +206,8 @@ class Margin:
 class Judged:
     """The judged range of frequencies, nan if nothing was judged, and the channels used."""
 
-    first_hz: float
-    last_hz: float
+    first_hz: float = nan
+    last_hz: float = nan
     channels: Channels = "recorded"
 
     def __str__(self) -> str:
@@ -228,9 +227,6 @@ class Judged:
             f"first judged {hertz(self.first_hz)} Hz, last judged {hertz(self.last_hz)} Hz, by the"
             f" {self.channels} channels: {CHANNELS_READ}"
         )
-
-
-NOTHING_JUDGED = Judged(nan, nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,6 +300,13 @@ class Verdict:
     def whole_band(self) -> bool:
         """Whether no edge of `band_hz` was lost under a drift."""
         return not _has(LOST_EDGE, self.findings)
+
+    @property
+    def passes(self) -> bool:
+        """Whether the trial passes the paper's rule, which rejects an unstable trial and one that
+        lost an edge of its band.
+        """
+        return self.within_90_deg and self.whole_band and self.stability != "unstable"
 
     def _read_high(self) -> str:
         if not self.reads_high >= LEAST_TOLD:

@@ -33,7 +33,6 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.sim import usb_device
 from hapticd.sim.injection import TransferFault
-from hapticd.sim.usb_device import IN_BIT, Setup, UsbDevice
 from hapticd.usb.codec import VENDOR_CLASS
 
 __all__ = ["BUS_ID", "UsbipServer"]
@@ -134,7 +133,9 @@ class UsbipServer:
     taken. `tell(text)` is called when the board is attached and when it is detached.
     """
 
-    def __init__(self, device: UsbDevice, clock: Clock, host: str, port: int, tell: Tell) -> None:
+    def __init__(
+        self, device: usb_device.UsbDevice, clock: Clock, host: str, port: int, tell: Tell
+    ) -> None:
         self._device = device
         self._clock = clock
         self._tell = tell
@@ -296,20 +297,26 @@ class UsbipServer:
         if transfer is None:
             return False
         data = memoryview(transfer)[URB.size :]
-        address = endpoint | (IN_BIT if inwards and endpoint else 0)
+        address = endpoint | (usb_device.IN_BIT if inwards and endpoint else 0)
         with _reported(peer, number):
-            self._submit(peer, PendingSubmit(number, address, length), Setup.of(setup), data)
+            self._submit(
+                peer, PendingSubmit(number, address, length), usb_device.Setup.of(setup), data
+            )
         return True
 
-    def _submit(self, peer: Peer, urb: PendingSubmit, setup: Setup, data: memoryview) -> None:
+    def _submit(
+        self, peer: Peer, urb: PendingSubmit, setup: usb_device.Setup, data: memoryview
+    ) -> None:
         """Begin a transfer; it ends here or waits."""
         now_ns = self._clock.now_ns()
         if urb.endpoint == 0:
             reply = self._device.control(setup, now_ns)
             if reply is not None:
-                inwards = setup.request_type & IN_BIT
+                inwards = setup.request_type & usb_device.IN_BIT
                 return peer.answer(urb.number, DONE, len(reply) if inwards else urb.room, reply)
-        elif not urb.endpoint & IN_BIT and self._device.write(urb.endpoint, data, now_ns):
+        elif not urb.endpoint & usb_device.IN_BIT and self._device.write(
+            urb.endpoint, data, now_ns
+        ):
             return peer.answer(urb.number, DONE, urb.room)
         if len(peer.waiting) >= MOST_WAITING:
             raise PeerClosed
@@ -327,7 +334,7 @@ class UsbipServer:
         """Play the board, and complete waiting transfers in order."""
         now_ns = self._clock.now_ns()
         self._device.advance(now_ns)
-        for urb in [one for one in peer.waiting if one.endpoint & IN_BIT]:
+        for urb in [one for one in peer.waiting if one.endpoint & usb_device.IN_BIT]:
             with _reported(peer, urb.number):
                 packet = self._device.read(urb.endpoint, urb.room, now_ns)
                 if packet is None:

@@ -15,5 +15,7 @@ request, `run_...` simulates and returns numbers.
     port_energy run_port_energy: the same by the energy given out in passive hands, also for laws
                 that are not linear
     felt        felt impedance and noise at rest of such laws
+    reference   what they compare with: scenes without some effects, the impedance of several trials
+                together, the product in lock-step
     report      figures and tables of these
 """

@@ -51,18 +51,19 @@ from hapticd.model.predict import predict, predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
-from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.engine.shape import LANES
-from hapticd.zwidth.simulated import LockStepTrial, pooled, run_lockstep, spectra_of, spectra_on
-from hapticd.zwidth.sources import (
-    SUBSTEPS,
+from hapticd.studies.reference import (
+    LockStepTrial,
     candidates,
-    display,
-    frequencies,
     is_linear,
-    level,
+    pooled,
+    run_lockstep,
+    spectra_of,
+    spectra_on,
     without,
 )
+from hapticd.zwidth.engine.batch import BatchResult, simulate
+from hapticd.zwidth.engine.shape import LANES
+from hapticd.zwidth.sources import SUBSTEPS, display, frequencies, level
 from hapticd.zwidth.store import Progress, Steps, silent
 
 __all__ = ["cost", "plan_accuracy", "run_accuracy"]

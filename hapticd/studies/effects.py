@@ -37,19 +37,11 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
+from hapticd.studies.reference import candidates, pooled, spectra_of, without
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.simulated import pooled, spectra_of
-from hapticd.zwidth.sources import (
-    candidates,
-    display,
-    free_of_walls,
-    frequencies,
-    level,
-    noise,
-    without,
-)
+from hapticd.zwidth.sources import display, free_of_walls, frequencies, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = ["EffectsParams", "plan_effects", "run_effects"]

@@ -25,9 +25,10 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Scene
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.render.parts import CONTROLLERS, ESTIMATORS, LawPart
+from hapticd.studies.reference import without
 from hapticd.studies.remedies import RENDERED_HZ
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.sources import SUBSTEPS, display, free_of_walls, level, without
+from hapticd.zwidth.sources import SUBSTEPS, display, free_of_walls, level
 
 __all__ = ["SINE", "felt", "noise_at_rest", "played"]
 

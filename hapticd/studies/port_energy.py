@@ -52,7 +52,7 @@ from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import NOISE, SUBSTEPS, display, free_of_walls, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent, to_json
 
-__all__ = ["GIVEN_J", "SECONDS", "EnergyRow", "run_port_energy"]
+__all__ = ["SECONDS", "run_port_energy"]
 
 SECONDS = 2.0  # of a trial
 PUSH_N = 1.0  # under the noise of the paper

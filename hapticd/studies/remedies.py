@@ -2,7 +2,7 @@
 
 A remedy (`Remedy`) changes a scene: the rate of its servo, the delay of its force, its active
 damping, the corner of its velocity filter, or the coupling between device and environment. All are
-linear and time-invariant, so the theorem (`model.theorem`, `guard.bases`) judges the sampled loop
+linear and time-invariant, so the theorem (`model.theorem`, `model.bases`) judges the sampled loop
 exactly. The loop is stable, and passive for every input and every passive hand, without dry
 friction. These numbers of a row therefore have no interval:
 
@@ -44,12 +44,12 @@ from math import isfinite, nan, sqrt
 import numpy as np
 
 from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.guard.bases import Conditions, Theorem
+from hapticd.model.bases import Conditions, Theorem
 from hapticd.model.effects import Delay
 from hapticd.model.loop import close_loop, derivatives
 from hapticd.model.scene import DampingStep, Scene
 from hapticd.model.theorem import circles, lifted_system
-from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, volume
+from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
 from hapticd.zwidth import limits, outcomes
 from hapticd.zwidth.sources import display, level, noise
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
@@ -249,12 +249,12 @@ def set_volume(passive: Passive, best: tuple[float, float], counts: Sequence[int
             np.linspace(0.0, ends["B max"], counts[1]),
             np.linspace(ends["M min"], ends["M max"], counts[2]),
         )
-        found = passive_set(axes, np.where(passive(grid(axes)), 1.0, -1.0))
-        beyond = [name for name in open_ends(found) if name in ends]
+        found = PassiveSet.of(axes, np.where(passive(grid(axes)), 1.0, -1.0))
+        beyond = [name for name in found.open_ends() if name in ends]
         if not beyond:
             break
         ends |= {name: WIDER * ends[name] for name in beyond}
-    return volume(found)
+    return found.volume()
 
 
 Law = Callable[[Complexes], Complexes]  # H_v at some z: force over position

@@ -25,23 +25,17 @@ from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.studies.effects import EffectsResult, LeftOut
 from hapticd.studies.port_energy import SECONDS, EnergyRow
+from hapticd.studies.reference import candidates
 from hapticd.studies.remedies import RENDERED_HZ, Row
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.report.paper import Cell, Table, changed, duration, legends, shown, table
 from hapticd.zwidth.report.style import (
-    BLACK,
-    BLUE,
     FINE,
-    GREEN,
-    GREY,
     OFF,
     ON,
-    ORANGE,
     PREDICTED,
-    PURPLE,
-    RED,
-    SKY,
     Axes,
+    Colour,
     Figure,
     Look,
     axes,
@@ -53,9 +47,9 @@ from hapticd.zwidth.report.style import (
     plain_axis,
     size_in,
     styled,
-)  # fmt: skip
+)
 from hapticd.zwidth.report.trial import Trace, draw, draw_traces, dress
-from hapticd.zwidth.sources import SUBSTEPS, candidates, frequencies
+from hapticd.zwidth.sources import SUBSTEPS, frequencies
 
 __all__ = [
     "accuracy_figure",
@@ -107,15 +101,15 @@ DEFAULT: Look = {
     "marker": "o",
     "markersize": 12,
     "markerfacecolor": "none",
-    "color": BLACK,
+    "color": Colour.BLACK,
     "linestyle": "",
 }
 CHEAPEST = "cheapest setting within 10 % of the best"  # label of `knee`
-KNEE: Look = {"marker": "*", "markersize": 13, "color": ORANGE, "linestyle": "", "zorder": 3}
+KNEE: Look = {"marker": "*", "markersize": 13, "color": Colour.ORANGE, "linestyle": "", "zorder": 3}
 METHODS = {
-    "exact": ("exact map", BLUE, "o"),
-    "rk4": ("Runge-Kutta 4", GREEN, "s"),
-    "euler": ("explicit Euler", RED, "^"),
+    "exact": ("exact map", Colour.BLUE, "o"),
+    "rk4": ("Runge-Kutta 4", Colour.GREEN, "s"),
+    "euler": ("explicit Euler", Colour.RED, "^"),
 }
 # lowest error drawn; position of those without an answer
 SMALLEST = 1e-16
@@ -460,13 +454,18 @@ def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figu
         [row.effect for row in rows],
         changes,
         [_changed(row) for row in rows],
-        color=[BLUE if row.effect in result.kept else DROPPED for row in rows],
+        color=[Colour.BLUE if row.effect in result.kept else DROPPED for row in rows],
         hatch=["" if row.method == "predicted" else "///" for row in rows],
     )
-    axis.axvline(params.tolerance, color=RED)
+    axis.axvline(params.tolerance, color=Colour.RED)
     words = f"tolerance {changed(params.tolerance)}"
     axis.text(
-        1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize="small"
+        1.05 * params.tolerance,
+        len(rows) - 0.45,
+        words,
+        color=Colour.RED,
+        va="bottom",
+        fontsize="small",
     )
     axis.set(
         xlim=(LEAST, 4 * MOST),
@@ -476,10 +475,10 @@ def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figu
     shown_ticks = TICKS if size_in(axis)[0] > ROOMY_IN else TICKS[::2]
     axis.set_xticks(shown_ticks, [changed(tick) for tick in shown_ticks])
     kinds = (
-        ("kept", BLUE, ""),
+        ("kept", Colour.BLUE, ""),
         ("left out", DROPPED, ""),
-        ("by prediction", GREY, ""),
-        ("by simulation", GREY, "///"),
+        ("by prediction", Colour.GREY, ""),
+        ("by simulation", Colour.GREY, "///"),
     )
     handles = [patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds]
     legends(figure, (), 1, "", (axis, handles, {"loc": "lower right"}))
@@ -596,12 +595,12 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     places = [(row.seconds, max(row.total, least)) for row in rows]
     if ways:
         for place, label, sign in zip(places, labels, cycle(WAYS), strict=False):
-            axis.plot(*place, sign, color=BLUE, markersize=6, label=label)
+            axis.plot(*place, sign, color=Colour.BLUE, markersize=6, label=label)
     else:
         axis.plot(
             *zip(*places, strict=True),
             "o-",
-            color=BLUE,
+            color=Colour.BLUE,
             markersize=6,
             label="total error of one trial",
         )
@@ -634,14 +633,14 @@ def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axe
         [row.seconds for row in stepped],
         [row.step for row in stepped],
         "o-",
-        color=SKY,
+        color=Colour.SKY,
         label="error of the sub-step alone",
     )
     axis.plot(
         [row.seconds for row in single],
         [row.total for row in single],
         "v",
-        color=PURPLE,
+        color=Colour.PURPLE,
         label="single precision, 1 and 4 sub-steps",
     )
 
@@ -658,8 +657,8 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
         for row in rows
     ]
     errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
-    _bars(axis, [row.label for row in rows], errors, labels, color=GREEN)
-    axis.axvline(own, color=BLACK, linewidth=0.8)
+    _bars(axis, [row.label for row in rows], errors, labels, color=Colour.GREEN)
+    axis.axvline(own, color=Colour.BLACK, linewidth=0.8)
     axis.text(own, top - 0.4, "one trial's error", fontsize="small", ha="center", va="bottom")
     axis.set(
         xlim=(least, 60.0 * worst),

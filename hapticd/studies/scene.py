@@ -44,7 +44,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose, compose_device
-from hapticd.model.discrete import damping_ceiling, edge, expm, modes, stability
+from hapticd.model.discrete import edge, expm, modes, stability
 from hapticd.model.effects import WindingTemperature
 from hapticd.model.loop import spectral_radius
 from hapticd.model.model import Array, Model
@@ -57,7 +57,7 @@ from hapticd.zwidth.sources import SUBSTEPS, Trial, level
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 
-__all__ = ["SceneResult", "SceneTrial", "ceiling", "compare_integrators", "plan_scene", "run_scene"]
+__all__ = ["SceneTrial", "ceiling", "compare_integrators", "plan_scene", "run_scene"]
 
 TEMPERATURES = 12  # of a winding that warms up, at equal distances of time
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict
@@ -357,3 +357,10 @@ def _longest(method: str, poles: Complexes) -> float:
     moving = np.abs(poles) > DRIFT * np.abs(poles).max()  # drift neither grows nor decays
     own = np.diag(poles[moving])
     return edge(lambda h: bool(np.abs(_step(method, own * h)).max() <= 1.0), 0.0, LONGEST_S)
+
+
+def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
+    """Return the largest stable damping level [Ns/m] of the device, at most `highest_ns_per_m`."""
+    if stability(model, highest_ns_per_m).stable:
+        return highest_ns_per_m
+    return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)

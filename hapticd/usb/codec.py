@@ -35,7 +35,6 @@ from typing import Any
 
 from hapticd.core.errors import FrameError, ProtocolMismatch
 from hapticd.usb import frames
-from hapticd.usb.frames import HelloFrame, InFrame, OutFrame, Request
 
 __all__ = [
     "ENCODER_BITS",
@@ -109,7 +108,7 @@ class Link(ABC):
         """
 
     @abstractmethod
-    def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
+    def request(self, request: frames.Request, length: int = 0, value: int = 0) -> bytes:
         """Send a vendor control request with wValue `value`; return its reply of at most `length`
         bytes.
 
@@ -154,7 +153,7 @@ HEAD_CRC = 21
 HEAD_FIELDS = 22
 NO_SAMPLES = (0,) * frames.PROBE_MAX
 _NO_PAIRS = (0,) * (2 * frames.PAIR_MAX)
-_PAIRS = InFrame._fields.index("pairs")
+_PAIRS = frames.InFrame._fields.index("pairs")
 _SERIAL_BYTES = 16
 
 
@@ -215,7 +214,7 @@ def _check_axis(kind: str, axis: int) -> None:
         )
 
 
-def encode_out(frame: OutFrame) -> bytes:
+def encode_out(frame: frames.OutFrame) -> bytes:
     """Return the 32 bytes of an OUT frame. FrameError if a value does not fit its field."""
     *head, perturbation = frame
     count = _counted("OUT", len(perturbation), frames.PROBE_MAX)
@@ -223,17 +222,17 @@ def encode_out(frame: OutFrame) -> bytes:
     return _sealed(frames.OUT, *head, count, 0, *samples, b"")
 
 
-def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
+def decode_out(data: bytes | bytearray | memoryview) -> frames.OutFrame:
     """Return the OUT frame in 32 bytes. FrameError with the field: length, CRC, count or axis."""
     seq, axis, flags, torque, damping, resistance, count, _, *samples, _, _ = _opened(
         frames.OUT, data, "OUT"
     )
     kept = tuple(samples[: _counted("OUT", count, frames.PROBE_MAX)])
     _check_axis("OUT", axis)
-    return OutFrame(seq, axis, flags, torque, damping, resistance, kept)
+    return frames.OutFrame(seq, axis, flags, torque, damping, resistance, kept)
 
 
-def encode_in(frame: InFrame) -> bytes:
+def encode_in(frame: frames.InFrame) -> bytes:
     """Return the 64 bytes of an IN frame. FrameError if a value does not fit its field."""
     seq, echo, axis, *latched = frame[:_PAIRS]
     count = _counted("IN", len(frame.pairs), frames.PAIR_MAX)
@@ -241,7 +240,7 @@ def encode_in(frame: InFrame) -> bytes:
     return _sealed(frames.IN, seq, echo, axis, count, *latched, *flat, *frame[_PAIRS + 1 :])
 
 
-def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
+def decode_in(data: bytes | bytearray | memoryview) -> frames.InFrame:
     """Return the IN frame in 64 bytes. FrameError with the field: length, CRC, count or axis."""
     seq, echo, axis, count, *values, _ = _opened(frames.IN, data, "IN")
     latched = _PAIRS - 3
@@ -250,10 +249,10 @@ def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
     pairs = tuple(zip(flat[::2], flat[1::2], strict=True))
     kept = pairs[: _counted("IN", count, frames.PAIR_MAX)]
     _check_axis("IN", axis)
-    return InFrame._make((seq, echo, axis, *values[:latched], kept, *values[behind:]))
+    return frames.InFrame._make((seq, echo, axis, *values[:latched], kept, *values[behind:]))
 
 
-def encode_hello(hello: HelloFrame) -> bytes:
+def encode_hello(hello: frames.HelloFrame) -> bytes:
     """Return the 80 bytes of a hello reply. FrameError if a value does not fit its field."""
     h = hello
     _check_hello_values(h)
@@ -274,7 +273,7 @@ def encode_hello(hello: HelloFrame) -> bytes:
         raise FrameError(f"a value does not fit its field of the hello reply: {error}") from error
 
 
-def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
+def decode_hello(data: bytes | bytearray | memoryview) -> frames.HelloFrame:
     """Return the hello reply in 80 bytes.
 
     FrameError with the field: length, serial, or a full scale that is not finite.
@@ -283,7 +282,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
     protocol, version, axes, _, capabilities, watchdog, serial, *scales, _ = frames.HELLO.unpack(
         data
     )
-    hello = HelloFrame(
+    hello = frames.HelloFrame(
         protocol,
         version,
         axes,
@@ -297,7 +296,7 @@ def decode_hello(data: bytes | bytearray | memoryview) -> HelloFrame:
     return hello
 
 
-def _check_hello_values(hello: HelloFrame) -> None:
+def _check_hello_values(hello: frames.HelloFrame) -> None:
     if len(hello.protocol_hash) != len(frames.PROTOCOL_HASH):
         raise FrameError(
             f"protocol hash of the hello reply has {len(hello.protocol_hash)} bytes, expected"
@@ -311,7 +310,7 @@ def _check_hello_values(hello: HelloFrame) -> None:
             " ASCII characters",
             "serial",
         )
-    for name, value in zip(HelloFrame._fields[6:], hello[6:], strict=True):
+    for name, value in zip(frames.HelloFrame._fields[6:], hello[6:], strict=True):
         if not isfinite(value):
             raise FrameError(
                 f"{name} of the hello reply is {value}, not a finite number; correct the board's"
@@ -390,7 +389,7 @@ BACKWARD = 64
 SEQ_MASK = (1 << SEQ_BITS) - 1
 
 
-def greet(reply: bytes) -> HelloFrame:
+def greet(reply: bytes) -> frames.HelloFrame:
     """Return the hello in a board's reply, if the host can work with this board.
 
     The requirements of its device file are checked elsewhere (`usb.search`). The first 8 bytes

@@ -1,7 +1,7 @@
 """The bench: trials, and the procedures that run many of them. Nothing here prints.
 
 `trial` plans, runs, judges and stores one trial. Its record comes from a source: the batch engine
-or the whole product on virtual time (`simulated`), a running daemon (`live`) or a file
+(`simulated`), a running daemon or the whole product on virtual time (`live`), or a file
 (`recorded`). Procedures with many trials are `limits` along an axis, the `map` of a grid, the
 `search` with few trials and impacts on `walls`. All use `outcomes`, which runs, judges and stores
 batches of simulated trials.

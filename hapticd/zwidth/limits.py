@@ -22,7 +22,7 @@ Limitations: a set that is not in one piece along the line of the search.
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice, product, takewhile
 from math import isfinite, nan
 from typing import Any
@@ -31,7 +31,7 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.signal.passive_set import AXES, axis_limit
-from hapticd.signal.verdict import NOTHING_JUDGED, Judged
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth.outcomes import (
     Conditions,
     Outcome,
@@ -123,7 +123,7 @@ class AxisLimit:
     perturbation_psd: float  # N^2/Hz, one-sided
     trials: int  # of all seeds
     values: tuple[float, ...]
-    judged: Judged = NOTHING_JUDGED
+    judged: Judged = field(default_factory=Judged)
 
     @property
     def name(self) -> str:
@@ -277,7 +277,13 @@ def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> A
     begin = params.base[scan.axis]
     values = np.array([bracket(axis, tried)[0] for tried in seeds])
     sure = [
-        [begin, *(one.environment[axis] for one in takewhile(_surely_passive, tried))][-1]
+        [
+            begin,
+            *(
+                one.environment[axis]
+                for one in takewhile(lambda one: one.answer == "passive", tried)
+            ),
+        ][-1]
         for tried in seeds
     ]
     never = [
@@ -304,7 +310,3 @@ def _together(params: LimitsParams, scan: Scan, seeds: list[list[Outcome]]) -> A
         values=tuple(values.tolist()),
         judged=judged(one for tried in seeds for one in tried),
     )
-
-
-def _surely_passive(outcome: Outcome) -> bool:
-    return outcome.answer == "passive"

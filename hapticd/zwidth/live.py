@@ -37,13 +37,13 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
 from hapticd.protocol.answers import Status
-from hapticd.recording.provenance import CalibrationDoubt, certificate_of, doubts, refuse_doubts
+from hapticd.recording.provenance import CalibrationDoubt, certificate_of, doubts
 from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
-__all__ = ["allowed_waveform", "daemon_source"]
+__all__ = ["allowed_waveform", "daemon_source", "signals"]
 
 LEASE_S = 5.0  # a trial that hangs for longer has ended
 RENEW_S = 1.0
@@ -357,3 +357,14 @@ def signals(probe: Block) -> Floats:
             for name, one in scales.items()
         ]
     )
+
+
+def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
+    """Raise AnalysisError that lists `found`, if there are any."""
+    if found:
+        steps = ", ".join(dict.fromkeys(one.remedy for one in found))
+        listed = "; ".join(map(str, found))
+        raise AnalysisError(
+            f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for"
+            " the trial with --uncalibrated: its verdict then says so"
+        )

@@ -27,7 +27,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import Prediction
-from hapticd.signal.passive_set import Envelope, PassiveSet, ascending, grid, passive_set
+from hapticd.signal.passive_set import Envelope, PassiveSet, ascending, grid
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
@@ -259,7 +259,7 @@ def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:
 
 def _mapped(params: MapParams, level: LevelPlan) -> Procedure[LevelMap]:
     batches = _batches(params, level)
-    found = passive_set(params.axes, level.prediction.decided_margin)
+    found = PassiveSet.of(params.axes, level.prediction.decided_margin)
     have = yield batches
     found = _learnt(found, have)
     for _ in range(params.refine):

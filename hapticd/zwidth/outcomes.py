@@ -43,9 +43,9 @@ from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import Envelope, accepted, merged, of_one
+from hapticd.signal.passive_set import Envelope
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, NOTHING_JUDGED, Judged
+from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
@@ -232,7 +232,7 @@ def _outcome(
         environment=(k, b, m),
         active_damping_ns_per_m=damping,
         answer="undecided" if doubtful and verdict.answer == "passive" else verdict.answer,
-        passes=accepted(verdict, "within_90_deg") and not doubtful,
+        passes=verdict.passes and not doubtful,
         margin_ns_per_m=verdict.margin_ns_per_m.value,
         margin_lower=verdict.margin_ns_per_m.lower,
         margin_upper=verdict.margin_ns_per_m.upper,
@@ -304,7 +304,7 @@ def judged(outcomes: Iterable[Outcome]) -> Judged:
         if not isnan(one.first_judged_hz)
     ]
     if not ends:
-        return NOTHING_JUDGED
+        return Judged()
     return Judged(max(first for first, _ in ends), min(last for _, last in ends))
 
 
@@ -317,12 +317,12 @@ def envelope_of(outcomes: list[Outcome]) -> Envelope:
         raise AnalysisError(
             "no trial passed: there is no envelope; begin with K = B = M = 0 and a longer trial"
         )
-    return reduce(merged, each)
+    return reduce(Envelope.merged, each)
 
 
 def _envelope(outcome: Outcome) -> Envelope:
     k, b, m = outcome.environment
-    return of_one(
+    return Envelope.of_one(
         f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g",
         outcome.frequency_hz,
         outcome.z[:, 0] + 1j * outcome.z[:, 1],

@@ -67,12 +67,10 @@ from hapticd.zwidth.trial import TrialResult
 __all__ = [
     "SUFFIX",
     "Comparison",
-    "Format",
     "compare",
     "conditions_of",
     "device_hash",
     "device_path",
-    "frequency_response",
     "numbers_of",
     "portable",
     "write_response",

@@ -28,11 +28,11 @@ import numpy as np
 
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.environment import Environment
-from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.core.extras import need
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.recording.file import is_recording, open_recording
-from hapticd.recording.pack import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
+from hapticd.recording.file import open_recording
+from hapticd.recording.pack import ReadColumn, read_remark
 from hapticd.settings.toml import SAMPLES_BYTES, regular
 from hapticd.zwidth.store import (
     LOSSES_BY,
@@ -59,6 +59,9 @@ from hapticd.zwidth.timestamps import (
 from hapticd.zwidth.watch import COUNTS, in_even_time
 
 __all__ = ["read_file"]
+
+PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # columns of a table of probe samples
+SERVO_COLUMNS = {"tick", "revision", "force_n"}  # columns of a table of ticks
 
 MARKS = (",", ";", "\t")  # between columns
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
@@ -532,3 +535,12 @@ def _structures(content: dict[str, Any]) -> tuple[ReadColumn, dict[str, Any]] | 
     stated = {name: groups["info"][name][0, 0] for name in groups["info"].dtype.names}
     attributes = {name: values.ravel()[0] if values.size else "" for name, values in stated.items()}
     return (lambda group, name: groups[group][name][0, 0].ravel()), attributes
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording of this package, finished or not."""
+    try:
+        with open_recording(path):
+            return True
+    except HapticdError:
+        return False

@@ -33,7 +33,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats, bisect
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.signal.passive_set import PassiveSet, grid, open_ends, passive_set
+from hapticd.signal.passive_set import PassiveSet, grid
 from hapticd.signal.search import (
     ModelPrior,
     Search,
@@ -132,7 +132,7 @@ class SearchResult:
     @property
     def open_ends(self) -> tuple[str, ...]:
         """Ends of the box at which the set continues, such as "M max"."""
-        return open_ends(self.found)
+        return self.found.open_ends()
 
 
 def plan_search(params: SearchParams) -> SearchPlan:
@@ -274,7 +274,7 @@ def _set(search: Search) -> PassiveSet:
     )
     points = grid((k, b, m))
     size = np.abs(margin(search.surrogate, points))
-    return passive_set(
+    return PassiveSet.of(
         (k, b, m), np.where(predicted_passive(search, points), size, -np.maximum(size, 1e-12))
     )
 

@@ -48,7 +48,6 @@ from hapticd.core.environment import Environment, WallParams
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
-from hapticd.model.effects import ALWAYS
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters
 from hapticd.model.model import Model
@@ -65,12 +64,12 @@ from hapticd.zwidth.watch import TrialMonitor, Watch
 
 __all__ = [
     "NOISE",
+    "SATURATED",
     "SUBSTEPS",
     "Display",
     "ReferenceSines",
     "Source",
     "Trial",
-    "candidates",
     "device_file",
     "device_scene",
     "display",
@@ -78,13 +77,11 @@ __all__ = [
     "free_of_walls",
     "frequencies",
     "given",
-    "is_linear",
     "level",
     "may_follow",
     "noise",
     "scene_of_device",
     "stepped_sine",
-    "without",
 ]
 
 # --- scenes ---------------------------------------------------------------------------------------
@@ -195,26 +192,6 @@ def display(scene: Scene, excitation: Excitation | None = None) -> Display:
 
 
 _composed = lru_cache(maxsize=64)(compose)
-
-
-def candidates(scene: Scene) -> tuple[str, ...]:
-    """Return the effects that can be left out."""
-    return tuple(effect.key for effect in scene.effects if effect.key not in ALWAYS)
-
-
-def without(scene: Scene, *keys: str) -> Scene:
-    """The scene without these effects."""
-    return replace(
-        scene, effects=tuple(effect for effect in scene.effects if effect.key not in keys)
-    )
-
-
-def is_linear(scene: Scene) -> bool:
-    """Whether the scene is linear, so that its impedance is known exactly."""
-    return (
-        not any(effect.nonlinearity for effect in scene.effects)
-        and scene.environment.wall.side == 0
-    )
 
 
 def frequencies(band_hz: tuple[float, float] = DEFAULT_BAND_HZ, count: int = FREQUENCIES) -> Floats:

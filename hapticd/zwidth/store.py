@@ -43,7 +43,6 @@ __all__ = [
     "Steps",
     "TrialRecord",
     "TrialStore",
-    "csv_text",
     "fingerprint",
     "read_summary",
     "silent",

@@ -10,7 +10,7 @@ import pytest
 from support.narrow_modes import ClosedForm, directions, drawn, edge
 from support.passive_hands import GROUND, Network, random_hands
 
-from hapticd.guard.bases import Conditions, Theorem
+from hapticd.model.bases import Conditions, Theorem
 from hapticd.model.coupled import coupled_radius, shaking_hand
 from hapticd.model.loop import PAPER_FILTERS
 

@@ -16,7 +16,7 @@ from hapticd.signal.compare import (
     normalised,
     stiffness_damping_area,
 )
-from hapticd.signal.passive_set import grid, passive_set, set_limits, volume
+from hapticd.signal.passive_set import PassiveSet, grid
 
 
 def measured(scale):
@@ -41,7 +41,7 @@ def measured(scale):
         scale * axis
         for axis in (np.linspace(0, 300, 13), np.linspace(-1, 5, 13), np.linspace(-0.01, 0.01, 9))
     )
-    found = passive_set(axes, predict(model, grid(axes), perturbation=push).decided_margin)
+    found = PassiveSet.of(axes, predict(model, grid(axes), perturbation=push).decided_margin)
     conditions = EnvelopeConditions(
         f"{scale:g} displays",
         scale * 0.008,
@@ -57,7 +57,7 @@ def test_two_displays_bolted_together_are_no_better_display():
     """
     (one, single, small), (two, double, large) = measured(1.0), measured(2.0)
     for mine, other in zip(
-        dataclasses.astuple(set_limits(small)), dataclasses.astuple(set_limits(large)), strict=True
+        dataclasses.astuple(small.limits()), dataclasses.astuple(large.limits()), strict=True
     ):
         assert other == pytest.approx(tuple(2.0 * value for value in mine))
     assert double.upper.value == pytest.approx(2.0 * single.upper.value, rel=1e-6)
@@ -65,7 +65,7 @@ def test_two_displays_bolted_together_are_no_better_display():
     assert stiffness_damping_area(large) == pytest.approx(
         4.0 * stiffness_damping_area(small), rel=1e-3
     )
-    assert volume(large) == pytest.approx(8.0 * volume(small), rel=0.01)
+    assert large.volume() == pytest.approx(8.0 * small.volume(), rel=0.01)
     assert double.width_db() == pytest.approx(single.width_db(), abs=1e-5)
     assert check_alike([one, two]) == ()
     a = normalised(single, one.mass_kg)

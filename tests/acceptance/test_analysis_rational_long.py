@@ -6,7 +6,7 @@ from support.guard_device import rigid
 from support.narrow_modes import edge
 from test_analysis_rational import SHARP, at_angles
 
-from hapticd.guard.bases import model_of
+from hapticd.model.bases import model_of
 from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import circles, lifted_system, outside_circles
 

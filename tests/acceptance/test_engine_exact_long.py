@@ -16,9 +16,10 @@ from support.engine_exact import TRIALS, largest_error
 from support.straight import Straight
 
 from hapticd.model.effects import Coulomb, Delay, ForceDac, Multiplier
-from hapticd.model.excitation import Stream, held_noise
+from hapticd.model.excitation import Stream
 from hapticd.model.model import Noise
 from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.job import held_noise
 
 
 @pytest.mark.parametrize(

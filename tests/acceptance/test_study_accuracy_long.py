@@ -19,7 +19,8 @@ from hapticd.studies.accuracy import (
     plan_accuracy,
     run_accuracy,
 )
-from hapticd.zwidth.sources import frequencies, without
+from hapticd.studies.reference import without
+from hapticd.zwidth.sources import frequencies
 
 # --- a linear scene, exactly known ----------------------------------------------------------------
 

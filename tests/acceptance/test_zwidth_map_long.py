@@ -11,7 +11,7 @@ from test_zwidth_map import AXES
 
 from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import grid, open_ends, passive_set, set_limits
+from hapticd.signal.passive_set import PassiveSet, grid
 from hapticd.signal.search import first_trials, predicted_passive
 from hapticd.signal.surrogate import Box
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
@@ -173,8 +173,8 @@ def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():
     (level,) = run_map(plan, TrialStore(None)).levels
     assert int(level.tried.sum()) == plan.trials
     assert level.disagreements <= 0.15 * plan.trials
-    predicted = passive_set(AXES, plan.levels[0].prediction.decided_margin)
-    assert set_limits(level.found).virtual_damping == set_limits(predicted).virtual_damping
+    predicted = PassiveSet.of(AXES, plan.levels[0].prediction.decided_margin)
+    assert level.found.limits().virtual_damping == predicted.limits().virtual_damping
     everywhere = plan_map(MapParams(conditions(), AXES, (0.0,), everywhere=True))
     assert everywhere.trials == 96
     (full,) = run_map(everywhere, TrialStore(None)).levels
@@ -220,7 +220,7 @@ def test_box_of_a_search_holds_the_predicted_set(level):
     plan = plan_search(SearchParams(conditions(), level))
     sides = [np.linspace(*ends, 12) for ends in zip(plan.box.low, plan.box.high, strict=True)]
     predicted = conditions().display.predicted(grid(sides), level)
-    assert open_ends(passive_set(sides, predicted.decided_margin)) == ("B min",)
+    assert PassiveSet.of(sides, predicted.decided_margin).open_ends() == ("B min",)
 
 
 def test_set_that_goes_on_beyond_the_box_is_marked_open():

@@ -14,9 +14,9 @@ from support.guard_device import (
 )
 
 from hapticd.core.environment import Environment
-from hapticd.guard.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import intervals
+from hapticd.model.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
 from hapticd.model.compose import compose
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.theorem import (

@@ -8,10 +8,10 @@ from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import EnvironmentLimits
-from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion, intervals
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
+from hapticd.model.bases import Conditions, Theorem
 from hapticd.model.coupled import coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous
 from hapticd.model.loop import PAPER_FILTERS

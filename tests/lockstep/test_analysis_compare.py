@@ -23,7 +23,7 @@ from hapticd.signal.compare import (
     zero_mass_bandwidth_hz,
 )
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import admittance, grid, passive_set
+from hapticd.signal.passive_set import PassiveSet, grid
 from hapticd.signal.verdict import judge
 
 
@@ -43,7 +43,7 @@ def wedge(points):
     return 0.8 - k / 1000 - np.abs(b - 1.0) / 3 - np.abs(m) / 0.01
 
 
-SET = passive_set(AXES, wedge(grid(AXES)))
+SET = PassiveSet.of(AXES, wedge(grid(AXES)))
 
 
 def test_width_is_the_ratio_of_the_edges_in_decibels():
@@ -98,8 +98,8 @@ def test_zero_mass_bandwidth_of_mass_and_damper():
 
 def test_normalised_admittance_is_that_of_the_normalised_impedance():
     found = envelope([SOFT, FIRM])
-    assert normalised(admittance(found), 0.008).upper.value == pytest.approx(
-        admittance(normalised(found, 0.008)).upper.value
+    assert normalised(found.admittance(), 0.008).upper.value == pytest.approx(
+        normalised(found, 0.008).admittance().upper.value
     )
     with pytest.raises(
         AnalysisError,

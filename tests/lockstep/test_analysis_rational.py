@@ -9,9 +9,9 @@ from support.narrow_modes import ClosedForm, Narrow, directions, drawn, edge
 from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import FilterParams
-from hapticd.guard.bases import Conditions, Theorem, line_ends, model_of
 from hapticd.model import rational as subject
 from hapticd.model.angles import FIXED
+from hapticd.model.bases import Conditions, Theorem, line_ends, model_of
 from hapticd.model.compose import compose
 from hapticd.model.coupled import coupled_radius
 from hapticd.model.loop import PAPER_FILTERS

@@ -13,8 +13,8 @@ from support.tree import ROOT
 from test_studies_remedies import rigid
 
 from hapticd.core.environment import Environment
-from hapticd.guard.bases import Theorem
 from hapticd.guard.safe_region import SafeRegion
+from hapticd.model.bases import Theorem
 from hapticd.model.scene import Scene
 from hapticd.render.contact import ContactDamping
 from hapticd.settings.scene import load_scene

@@ -28,7 +28,7 @@ from hapticd.run.doctor.machine import (
     cores_in,
     requirements,
 )
-from hapticd.servo.late import virtual_wait
+from hapticd.run.lockstep import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

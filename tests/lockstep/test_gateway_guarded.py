@@ -197,7 +197,7 @@ def test_if_rev_is_compared_again_after_the_verdict(
     rig.run()
     worker.said.append({**applies(worker.changes[-1]), "n": worker.changes[-1]["n"]})
     (reply,) = later(rig)
-    assert reply["error"]["code"] == "refused"
+    assert reply["error"]["code"] == "refused_revision"
     assert "the revision is 3 by now, not 0" in reply["error"]["message"]
     assert rig.servo.taken == []
 

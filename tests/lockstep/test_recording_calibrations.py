@@ -10,12 +10,12 @@ from support.models import device_params, servo_params
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import to_plain
-from hapticd.recording.provenance import certificate_of, certificate_path, doubts, refuse_doubts
+from hapticd.recording.provenance import certificate_of, certificate_path, doubts
 from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.build import servo_params as built
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.live import daemon_source
+from hapticd.zwidth.live import daemon_source, refuse_doubts
 from hapticd.zwidth.sources import Trial
 
 DAY = datetime.date(2026, 6, 1)

@@ -23,10 +23,11 @@ from hapticd.studies.effects import (
     relative,
     run_effects,
 )
+from hapticd.studies.reference import without
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.sources import frequencies, without
+from hapticd.zwidth.sources import frequencies
 
 AMPLIFIED = (*PARTS, Saturation(limit_n=8.0))
 

@@ -13,8 +13,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.model.effects import Crowbar
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
+from hapticd.studies.reference import without
 from hapticd.studies.scene import ceiling, compare_integrators, plan_scene, run_scene
-from hapticd.zwidth.sources import without
 
 
 def test_shorted_motor_has_no_ceiling() -> None:

@@ -18,7 +18,6 @@ from support.systemd import DEADLINE_S, Service
 from support.tree import ROOT
 
 from hapticd.cli.app import main
-from hapticd.core import process
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.core.units import NS_PER_S, VirtualClock
@@ -342,11 +341,11 @@ def service(runtime: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]
 
 def test_notify_without_systemd_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    process.notify("READY=1")
+    watchdog.notify("READY=1")
 
 
 def test_notify_sends_one_datagram(service: Service) -> None:
-    process.notify("READY=1", "STATUS=fine")
+    watchdog.notify("READY=1", "STATUS=fine")
     assert service.hear() == (os.getpid(), ["READY=1", "STATUS=fine"])
 
 
@@ -354,7 +353,7 @@ def test_notify_knows_abstract_addresses(monkeypatch: pytest.MonkeyPatch) -> Non
     name = f"hapticd-test-{os.getpid()}"
     listener = Service(f"\0{name}")
     monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
-    process.notify("READY=1")
+    watchdog.notify("READY=1")
     assert listener.hear()[1] == ["READY=1"]
     listener.socket.close()
 
@@ -362,11 +361,11 @@ def test_notify_knows_abstract_addresses(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_feeder_feeds_four_times_a_limit(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "4000000")
     clock = VirtualClock(NS_PER_S)
-    feeder = process.Feeder(clock)
+    feeder = watchdog.Feeder(clock)
     for _ in range(40):
         feeder.feed()
         clock.time_ns += NS_PER_S // 10
-    process.notify("end")
+    watchdog.notify("end")
     heard = [service.hear()[1][0] for _ in range(5)]
     assert heard == ["WATCHDOG=1"] * 4 + ["end"]
 
@@ -375,8 +374,8 @@ def test_feeder_without_a_watchdog_is_silent(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
-    process.Feeder(VirtualClock(NS_PER_S)).feed()
-    process.notify("end")
+    watchdog.Feeder(VirtualClock(NS_PER_S)).feed()
+    watchdog.notify("end")
     assert service.hear()[1] == ["end"]
     assert watchdog.start_feeder(Path("/nowhere")) is None
 

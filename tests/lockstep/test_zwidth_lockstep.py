@@ -6,8 +6,8 @@ import pytest
 from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import phase_rms
+from hapticd.studies.reference import MOST_S, run_lockstep, spectra_on
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.simulated import MOST_S, run_lockstep, spectra_on
 from hapticd.zwidth.sources import frequencies
 
 

@@ -13,7 +13,6 @@ from support.zwidth_map import conditions
 
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import set_limits
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (
@@ -177,8 +176,7 @@ def test_midpoint_that_passes_moves_the_limit():
     finer = replace(coarse, params=replace(coarse.params, refine=1))
     store = TrialStore(None)
     limits = [
-        set_limits(run_map(plan, store).levels[0].found).virtual_damping[1]
-        for plan in (coarse, finer)
+        run_map(plan, store).levels[0].found.limits().virtual_damping[1] for plan in (coarse, finer)
     ]
     assert limits == [1.0, 2.0]
 

@@ -26,7 +26,7 @@ LENGTH = struct.Struct("<I")
 @contextmanager
 def worker(folder: Path) -> Iterator[tuple["subprocess.Popen[str]", socket.socket]]:
     ours, theirs = socket.socketpair()
-    command = [sys.executable, "-X", "importtime", "-m", "hapticd.guard.main"]
+    command = [sys.executable, "-X", "importtime", "-m", "hapticd.guard.worker"]
     process = subprocess.Popen(
         [*command, str(folder), "--fd", str(theirs.fileno())],
         pass_fds=(theirs.fileno(),),

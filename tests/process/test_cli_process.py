@@ -79,7 +79,7 @@ def test_from_start_to_stop(
 
     assert "beyond the limit" in ask("set", "K=1e9", code=4)["error"]["message"]
     assert ask("set", "K=nan", code=2)["error"]["code"] == "usage"
-    assert ask("set", "K=1", "--at-tick", "1", code=4)["error"]["code"] == "refused"
+    assert ask("set", "K=1", "--at-tick", "1", code=4)["error"]["code"] == "refused_late"
     ahead = ask("status")["tick"] + 1_000_000
     assert ask("set", "K=1", "--at-tick", str(ahead))["result"] == "scheduled"
 

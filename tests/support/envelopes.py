@@ -5,7 +5,7 @@ from functools import reduce
 from typing import NamedTuple
 
 from hapticd.signal.impedance import Impedance
-from hapticd.signal.passive_set import Envelope, accepted, merged, of_one
+from hapticd.signal.passive_set import Envelope
 from hapticd.signal.verdict import Verdict
 
 
@@ -19,10 +19,12 @@ class EnvelopeTrial(NamedTuple):
 
 def of_trial(trial: EnvelopeTrial) -> Envelope:
     z = trial.impedance
-    return of_one(
+    return Envelope.of_one(
         trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator
     )
 
 
 def envelope(trials: Iterable[EnvelopeTrial]) -> Envelope:
-    return reduce(merged, (of_trial(trial) for trial in trials if accepted(trial.verdict)))
+    return reduce(
+        Envelope.merged, (of_trial(trial) for trial in trials if trial.verdict.answer == "passive")
+    )

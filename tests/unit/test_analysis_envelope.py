@@ -11,7 +11,6 @@ from support.spectral_trials import exact_trial, mass_damper
 from hapticd.core.errors import AnalysisError
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import accepted, admittance, merged
 from hapticd.signal.verdict import LOST_EDGE, judge
 
 
@@ -60,42 +59,42 @@ def test_order_of_trials_changes_names_alone():
 
 
 def test_envelope_may_grow_trial_by_trial():
-    grown = merged(of_trial(SOFT), of_trial(FIRM))
+    grown = of_trial(SOFT).merged(of_trial(FIRM))
     assert grown.upper.value == pytest.approx(envelope([SOFT, FIRM]).upper.value)
     assert of_trial(SOFT).width_db() == pytest.approx(0.0)
 
 
 def test_admittance_envelope_is_the_inverse_turned_over():
     found = envelope([SOFT, FIRM])
-    inverse = admittance(found)
+    inverse = found.admittance()
     assert inverse.kind == "admittance"
     assert inverse.upper.value == pytest.approx(1.0 / found.lower.value)
     assert inverse.owner(inverse.upper) == found.owner(found.lower)
     assert inverse.phase_upper.value == pytest.approx(-found.phase_lower.value)
     assert inverse.width_db() == pytest.approx(found.width_db())
-    assert admittance(inverse).upper.value == pytest.approx(found.upper.value)
+    assert inverse.admittance().upper.value == pytest.approx(found.upper.value)
 
 
 def test_plain_rule_accepts_what_is_undecided():
     thin = trial("thin", mass_damper(0.008, 0.05), 0.9)
     assert thin.verdict.answer == "undecided"
-    assert accepted(thin.verdict, "within_90_deg")
-    assert not accepted(thin.verdict, "judged")
-    assert not accepted(dataclasses.replace(thin.verdict, stability="unstable"), "within_90_deg")
+    assert thin.verdict.passes
+    assert thin.verdict.answer != "passive"
+    assert not dataclasses.replace(thin.verdict, stability="unstable").passes
 
 
 def test_plain_rule_accepts_no_trial_that_lost_an_edge_of_its_band():
     """What was not looked at did not pass."""
     thin = trial("thin", mass_damper(0.008, 0.05), 0.9)
     lost = Finding(LOST_EDGE, "the edge at 2.00 Hz is lost under a drift")
-    assert not accepted(dataclasses.replace(thin.verdict, findings=(lost,)), "within_90_deg")
+    assert not dataclasses.replace(thin.verdict, findings=(lost,)).passes
 
 
 def test_values_that_are_not_known_own_nothing():
     holed = FIRM.impedance.impedance_ns_per_m.copy()
     holed[5] = np.nan
     unknown = dataclasses.replace(FIRM.impedance, impedance_ns_per_m=holed)
-    found = merged(of_trial(SOFT), of_trial(FIRM._replace(impedance=unknown)))
+    found = of_trial(SOFT).merged(of_trial(FIRM._replace(impedance=unknown)))
     assert found.upper.owner[5] == 0
     assert found.upper.owner[6] == 1
 
@@ -121,6 +120,6 @@ def test_unlike_trials_are_refused(trials, message):
 def test_unlike_frequencies_are_refused():
     shifted = dataclasses.replace(FIRM.impedance, frequency_hz=FIRM.impedance.frequency_hz + 0.1)
     with pytest.raises(AnalysisError, match="unlike frequencies: estimate all with one window"):
-        merged(of_trial(SOFT), of_trial(FIRM._replace(impedance=shifted)))
+        of_trial(SOFT).merged(of_trial(FIRM._replace(impedance=shifted)))
     with pytest.raises(AnalysisError, match="an admittance envelope cannot be widened"):
-        merged(admittance(of_trial(SOFT)), of_trial(FIRM))
+        of_trial(SOFT).admittance().merged(of_trial(FIRM))

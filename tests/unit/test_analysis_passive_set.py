@@ -9,7 +9,7 @@ from support.analysis_devices import display
 from hapticd.core.errors import AnalysisError
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import predict
-from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, set_limits, volume
+from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 
@@ -20,11 +20,11 @@ def wedge(points):
     return 0.8 - k / 1000 - np.abs(b - 1.0) / 3 - np.abs(m) / 0.01
 
 
-SET = passive_set(AXES, wedge(grid(AXES)))
+SET = PassiveSet.of(AXES, wedge(grid(AXES)))
 
 
 def test_set_limits_are_extremes_over_all():
-    found = set_limits(SET)
+    found = SET.limits()
     assert found.stiffness == (0.0, 800.0)
     assert found.virtual_damping == (-1.0, 3.0)
     assert found.mass == pytest.approx((-0.005, 0.005))
@@ -38,7 +38,7 @@ def test_open_ends_are_where_the_grid_cuts_the_set():
         ((k[:10], b, m), ("K max",)),
         ((k, b[4:], m[:5]), ("B min", "M max")),
     ):
-        assert open_ends(passive_set(axes, wedge(grid(axes)))) == ends
+        assert PassiveSet.of(axes, wedge(grid(axes))).open_ends() == ends
 
 
 def test_axis_limits_differ_from_set_limits():
@@ -49,7 +49,7 @@ def test_axis_limits_differ_from_set_limits():
     assert axis_limit(lambda points: wedge(points) >= 0, 2, -0.05) == pytest.approx(
         -0.01 * (0.8 - 1 / 3), abs=1e-5
     )
-    assert set_limits(SET).stiffness[1] == 800.0
+    assert SET.limits().stiffness[1] == 800.0
 
 
 def test_axis_limit_at_its_ends():
@@ -65,16 +65,16 @@ def test_volume_of_a_pyramid():
     4.8 x 0.016 / 6.
     """
     axes = (np.linspace(0, 1000, 41), np.linspace(-2, 6, 41), np.linspace(-0.02, 0.02, 41))
-    assert volume(passive_set(axes, wedge(grid(axes)))) == pytest.approx(
+    assert PassiveSet.of(axes, wedge(grid(axes))).volume() == pytest.approx(
         800 * 4.8 * 0.016 / 6, rel=0.03
     )
 
 
 def test_volume_counts_shares_of_cells():
     axes = (np.array([0.0, 1.0]),) * 3
-    half = passive_set(axes, 0.5 - grid(axes)[:, 0])
-    assert volume(half) == pytest.approx(0.5)
-    assert volume(passive_set(axes, np.full(8, np.nan))) == 0.0
+    half = PassiveSet.of(axes, 0.5 - grid(axes)[:, 0])
+    assert half.volume() == pytest.approx(0.5)
+    assert PassiveSet.of(axes, np.full(8, np.nan)).volume() == 0.0
 
 
 @pytest.mark.parametrize(
@@ -95,16 +95,16 @@ def test_volume_counts_shares_of_cells():
 )
 def test_grid_that_is_none_is_refused(axes, margin, message):
     with pytest.raises(AnalysisError, match=re.escape(message)):
-        passive_set(axes, margin)
+        PassiveSet.of(axes, margin)
 
 
 def test_empty_set_has_no_limits():
     with pytest.raises(AnalysisError, match="no environment of the grid is passive"):
-        set_limits(passive_set(AXES, -np.ones(SET.margin.size)))
+        PassiveSet.of(AXES, -np.ones(SET.margin.size)).limits()
 
 
 def test_prediction_fills_a_set():
     axes = (np.linspace(0, 200, 9), np.linspace(-1, 4, 6), np.linspace(-0.01, 0.01, 5))
     found = predict(display(), grid(axes), perturbation=Perturbation())
-    filled = passive_set(axes, found.decided_margin)
+    filled = PassiveSet.of(axes, found.decided_margin)
     assert np.array_equal(filled.passive.ravel(), found.passive)

@@ -13,9 +13,9 @@ from support.guard_device import (
 )
 
 from hapticd.core.params import GuardSetup, from_plain, to_plain
-from hapticd.guard.bases import model_of
 from hapticd.guard.judge import Judge
-from hapticd.guard.main import answered
+from hapticd.guard.worker import answered
+from hapticd.model.bases import model_of
 from hapticd.model.compose import compose
 from hapticd.model.loop import spectral_radius
 from hapticd.zwidth.sources import device_scene

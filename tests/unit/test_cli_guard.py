@@ -18,7 +18,7 @@ from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.formatting import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.core.errors import CommandError, GuardWarning
-from hapticd.protocol.answers import Event, GuardStatus, Timing, answer_of, verdict_of
+from hapticd.protocol.answers import Event, GuardStatus, Timing, answer_of
 
 VERDICT = {
     "safe": False,
@@ -61,9 +61,7 @@ GUARD = {
 
 def says(**changed: Any) -> GuardVerdict:
     """The verdict with `changed` fields, as clients have it."""
-    found = verdict_of({**VERDICT, **changed})
-    assert found is not None
-    return found
+    return answer_of(GuardVerdict, {**VERDICT, **changed})
 
 
 class GuardDouble(ClientDouble):
@@ -154,7 +152,7 @@ def test_receipt_says_what_is_to_spare(
 def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
     judge = shipped_judge()
     far, near = (
-        verdict_of(change(judge, asked, policy="warn")["verdict"])
+        answer_of(GuardVerdict, change(judge, asked, policy="warn")["verdict"])
         for asked in ({"K": 5000.0, "B": 20.0}, {"K": 150.0, "B": 1.0})
     )
     assert far is not None

@@ -19,7 +19,7 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
 from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.protocol.answers import Hello, Status
-from hapticd.protocol.telemetry import Origin, RingBlock, raw_message
+from hapticd.protocol.telemetry import Origin, RingBlock
 
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
 
@@ -197,14 +197,14 @@ class StreamDouble:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
     clock = VirtualClock(NS_PER_S)
-    monkeypatch.setattr("hapticd.core.units.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("hapticd.cli.monitor.MonotonicClock", lambda: clock)
     return clock
 
 
 def block(first: int, life: int = 1, **fields: Any) -> bytes:
     """20 records as the gateway sends them."""
     found = rows_of_ticks(20, first, **fields)
-    return raw_message(RingBlock(life, first, 0, found.tobytes(), found), Origin(life, 0, True))
+    return RingBlock(life, first, 0, found.tobytes(), found).message(Origin(life, 0, True))
 
 
 def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:

@@ -7,7 +7,7 @@ from support.gateway_stand_in import setup
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import EnvironmentLimits, ServoParams, from_plain, to_plain
-from hapticd.mailbox.client_side import UNKNOWN, WIDEST, environment_limits
+from hapticd.mailbox.client_side import WIDEST, environment_limits
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import json_schema, parse
 
@@ -32,7 +32,7 @@ def test_an_end_is_ten_times_what_is_passive_there_and_never_beyond_the_mailbox(
 
 
 def test_an_end_of_which_nothing_is_known_is_the_stated_one() -> None:
-    assert environment_limits(UNKNOWN) == STATED
+    assert environment_limits({}) == STATED
     assert environment_limits({"K": None, "B": None, "M": None}) == STATED
     assert environment_limits({"K": [0.0, 0.0], "B": [0.0, 0.0], "M": [0.0, 0.0]}) == STATED
     found = environment_limits({"B": [0.0, 3.0]})

@@ -157,7 +157,7 @@ def test_servo_has_the_last_word(rig: CommandServerRig) -> None:
     rig.send(packed(cmd="enable"), packed(cmd="zero"))
     replies = [decoded(reply) for reply in rig.run()]
     assert replies[1]["error"] == {
-        "code": "refused",
+        "code": "refused_state",
         "message": "zero in state enabled: possible only in disabled; `hapticd disable` first",
         "detail": [],
     }
@@ -171,7 +171,7 @@ def test_home_without_a_way_home_says_so(rig: CommandServerRig) -> None:
 def test_if_rev_compares_and_sets(rig: CommandServerRig) -> None:
     assert rig.ask(cmd="set", K=1, if_rev=0)["ok"]
     error = rig.ask(cmd="set", K=2, if_rev=0)["error"]
-    assert error["code"] == "refused"
+    assert error["code"] == "refused_revision"
     assert error["message"] == "if_rev = 0: the revision is 1; check the change and ask again"
     replies = rig.send(packed(cmd="set", K=3), packed(cmd="set", K=4, if_rev=1))
     assert replies[0]["error"]["code"] == "busy"
@@ -194,7 +194,7 @@ def test_scheduled_set_is_told_twice(rig: CommandServerRig) -> None:
 
 def test_late_at_tick_is_refused(rig: CommandServerRig) -> None:
     error = rig.ask(cmd="set", K=10, at_tick=1)["error"]
-    assert error["code"] == "refused"
+    assert error["code"] == "refused_late"
     assert error["message"] == "set: at_tick has passed, it is tick 2; choose a later one"
 
 
@@ -202,7 +202,7 @@ def test_filters_that_are_felt_are_refused_in_words(rig: CommandServerRig, monke
     refused = Result.REFUSED_FILTER
     monkeypatch.setattr(rig.servo, "_apply", lambda one: rig.servo._answer(one[0], refused))
     error = rig.ask(cmd="set", filters={"velocity_hz": 30})["error"]
-    assert error["code"] == "refused"
+    assert error["code"] == "refused_filter"
     assert error["message"] == (
         "set: filters change only while the device is disabled, or while damping, mass and the"
         " wall's damping are 0, none of them on its way; `hapticd disable`, then ask again"
@@ -608,7 +608,7 @@ def test_board_that_is_barred_is_refused_in_words(
     error = refusal(
         Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view, Actors(rig.view.next_actor)
     )
-    assert (error.code, str(error)) == ("refused", said)
+    assert (error.code, str(error)) == (result.name.lower(), said)
 
 
 def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(
@@ -651,7 +651,7 @@ def test_stop_of_somebody_else_is_refused_with_whose_it_is(
     answer = Answer(1, Result.REFUSED_OWNER, 1, 0, 2000, 2740, tuple(effective))
     error = refusal(answer, "reset", rig.view, actors)
     assert (error.code, str(error)) == (
-        "refused",
+        "refused_owner",
         f"reset: stop was pressed by {whose} less than 1 s ago and is not for others to reset; look"
         " whether it is safe, and ask again in 0.74 s",
     )

@@ -4,9 +4,9 @@ from dataclasses import asdict
 
 import pytest
 
+from hapticd.core.params import LEAST_IDLE_SHARE
 from hapticd.gateway.tick_times import ENOUGH, room_of
 from hapticd.mailbox.layout import STAGES
-from hapticd.protocol.answers import LEAST_IDLE_SHARE
 from hapticd.protocol.journal import sentence
 from hapticd.run.doctor.late import judge_room
 

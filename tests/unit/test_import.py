@@ -7,7 +7,7 @@ import sys
 import pytest
 
 import hapticd
-from hapticd.cli.deferred import deferred_imports
+from hapticd.cli.terminal import deferred_imports
 
 HEAVY = {"numpy", "zmq", "msgpack", "pydantic", "h5py", "asyncio", "usb", "logging"}
 
@@ -48,7 +48,7 @@ def test_help_of_all_verbs_loads_no_large_library() -> None:
     assert loaded & large == set()
 
 
-WAITING = "from hapticd.cli.deferred import deferred_imports\nwith deferred_imports():\n"
+WAITING = "from hapticd.cli.terminal import deferred_imports\nwith deferred_imports():\n"
 
 
 def test_a_module_that_waits_is_loaded_at_its_first_use() -> None:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from hapticd.model.excitation import Stream, held_noise, torque_record
+from hapticd.model.excitation import Stream, torque_record
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine.job import held_noise
 
 NOISE = Excitation("noise", psd_n2_per_hz=2.5e-5, band_hz=1700.0)
 

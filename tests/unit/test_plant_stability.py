@@ -7,7 +7,7 @@ from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.compose import compose
-from hapticd.model.discrete import damping_ceiling, explain, modes, stability
+from hapticd.model.discrete import explain, modes, stability
 from hapticd.model.effects import (
     Amplifier,
     DampingCircuit,
@@ -16,6 +16,7 @@ from hapticd.model.effects import (
     WindingTemperature,
 )
 from hapticd.model.scene import DampingStep, Scene
+from hapticd.studies.scene import damping_ceiling
 
 LEVEL = 1.74
 LOOP = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")

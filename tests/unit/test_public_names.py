@@ -4,8 +4,10 @@ import ast
 import re
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 
 import pytest
+from structure import names_across
 from support.tree import ROOT
 
 
@@ -26,12 +28,6 @@ def none_is_kept() -> Iterator[None]:
     trees.cache_clear()
 
 
-def package(module: str) -> str:
-    """The first-level package of `module`; an example is a package of its own."""
-    first, _, more = module.partition(".")
-    return more.partition(".")[0] if first == "hapticd" else first
-
-
 def offered(tree: ast.Module) -> set[str]:
     """The names in `__all__`."""
     for node in tree.body:
@@ -46,23 +42,13 @@ def offered_by(module: str) -> set[str]:
     return offered(trees("hapticd")[module])
 
 
-def taken(module: str, tree: ast.Module) -> set[tuple[str, str]]:
-    """(module, name) for each name that `module` imports from a module of another package."""
-    return {
-        (node.module, alias.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module in trees("hapticd")
-        for alias in node.names
-        if package(node.module) != package(module)
-    }
-
-
 def unnamed(module: str, tree: ast.Module) -> list[str]:
     """Imports of `module` across packages that the other module does not offer."""
+    path = Path(*module.removeprefix("hapticd.").split("."))
     return [
         f"{module}: {other}.{name}"
-        for other, name in sorted(taken(module, tree))
-        if name not in offered_by(other)
+        for other, name in sorted(names_across(path, tree))
+        if other in trees("hapticd") and name not in offered_by(other)
     ]
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.sources import frequencies, is_linear, scene_of_device
+from hapticd.studies.reference import is_linear
+from hapticd.zwidth.sources import frequencies, scene_of_device
 
 
 def test_only_scenes_without_nonlinearity_are_linear() -> None:

@@ -17,13 +17,11 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps, verbs
-from hapticd.cli.rig.steps import StepOptions
 from hapticd.core.errors import DaemonDown, HapticdError
 from hapticd.core.params import RIG_STEPS, to_plain
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.recording import provenance
     from hapticd.settings import build, load
     from hapticd.settings import device as device_files
@@ -47,7 +45,7 @@ class Step(NamedTuple):
     title: str
     table: str  # of the device file, with its date; "": it writes nothing
     questions: Sequence[str]
-    act: Callable[[StepOptions, list[float]], None]
+    act: Callable[[steps.StepOptions, list[float]], None]
 
 
 MASSES = [
@@ -130,7 +128,7 @@ def guided(
     """The guided path, where no verb is named."""
     if context.invoked_subcommand is not None:
         return
-    where = StepOptions(instance=instance, config=config)
+    where = steps.StepOptions(instance=instance, config=config)
     terminal.talk(WELCOME)
     for step in FIRST:
         _offer(step, where)
@@ -143,7 +141,7 @@ def guided(
     terminal.talk(DONE)
 
 
-def _offer(step: Step, where: StepOptions) -> bool:
+def _offer(step: Step, where: steps.StepOptions) -> bool:
     """Offer `step`; return whether it was accepted and begun."""
     _await_restart(where)
     device = _device(where)
@@ -176,17 +174,17 @@ def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
     return "; ".join(one.reason for one in found if one.table == table)
 
 
-def _device(where: StepOptions) -> "device_files.DeviceFile":
+def _device(where: steps.StepOptions) -> "device_files.DeviceFile":
     return load.load(where.config).device
 
 
-def _await_restart(where: StepOptions) -> None:
+def _await_restart(where: steps.StepOptions) -> None:
     """Wait until the daemon runs and has read the present device file."""
     while reason := _stale(where):
         steps.answer(f"{reason}: start the daemon again, then Enter")
 
 
-def _stale(where: StepOptions) -> str:
+def _stale(where: steps.StepOptions) -> str:
     """Return why no step may begin; "": it may."""
     try:
         with connect(where.instance) as client:
@@ -200,7 +198,7 @@ def _stale(where: StepOptions) -> str:
     return "the device file has changed" if read not in ("", settings.device_file_sha256) else ""
 
 
-def _commissioning(where: StepOptions) -> bool:
+def _commissioning(where: steps.StepOptions) -> bool:
     with connect(where.instance) as client:
         return client.hello().servo.device.commissioning
 

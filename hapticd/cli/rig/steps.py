@@ -20,12 +20,11 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth.common import signals_end_with_force_off
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import DeviceParams, ScaleParams
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate
     from hapticd.rig import result as results

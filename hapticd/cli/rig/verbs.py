@@ -9,11 +9,10 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 from hapticd.core.errors import AnalysisError, ConfigError
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate, experiment
     from hapticd.rig import result as results

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import change, terminal
-from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.units import US_PER_S
 from hapticd.protocol.limits import CommandLimits
@@ -28,7 +27,7 @@ from hapticd.protocol.limits import CommandLimits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-with deferred_imports():
+with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.guard import safe_region
     from hapticd.mailbox import client_side
@@ -225,9 +224,9 @@ def require_within(name: str, shown: "sources.Display", asked: dict[str, float])
     """Raise BadParameter for values that a daemon would refuse to render on this device."""
     own = device_of(name)
     ceiling = own.limits.active_damping_ns_per_m
-    passive = client_side.UNKNOWN
-    if own.model is not None:
-        passive = safe_region.passive_ranges(shown.model, shown.scene.environment.filters, ceiling)
+    filters = shown.scene.environment.filters
+    known = own.model is not None
+    passive = safe_region.passive_ranges(shown.model, filters, ceiling) if known else {}
     widest = client_side.environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):

@@ -15,12 +15,10 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.core.errors import AnalysisError
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, linearise, predict
@@ -297,7 +295,11 @@ def limits_command(
             seed = given.excitation.seed
             common.print_outcomes(new, limit=limit, amplitude=scan.amplitude, seed=seed)
 
-    with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
+    with (
+        common.keeping(kept, folder),
+        executors.executor(trials.where) as pool,
+        terminal.progress() as tell,
+    ):
         result = limits.run_limits(limits.plan_limits(params), kept, tell, pool, follow)
     rows = [{"name": limit.name, **store.to_json(limit)} for limit in result.limits]
     about = {"kind": "limits", "scene": scene, "seconds": trials.seconds, "limits": rows}
@@ -401,7 +403,7 @@ def walls_command(
         None if approach is None else render_contact.ContactDamping(0.0, 1e-3 * approach, slew),
     )
     plan = walls.plan_walls(params)
-    with common.interruptible(), progress() as tell:
+    with common.interruptible(), terminal.progress() as tell:
         result = walls.run_walls(plan, tell)
     folder = common.folder(out, "walls")
     about = {"kind": "walls", "scene": scene, "contact": params.contact, "lines": result.lines}

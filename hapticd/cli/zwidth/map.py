@@ -14,15 +14,13 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.core import arrays
-    from hapticd.signal import compare, passive_set
+    from hapticd.signal import compare
     from hapticd.zwidth import executors, outcomes, search, store
     from hapticd.zwidth import map as maps
     from hapticd.zwidth.report import envelope, paper, style
@@ -108,7 +106,7 @@ def map_command(
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
         missing = plan.trials - len(kept.known)
-        with executors.executor(trials.where, trials=missing) as pool, progress() as tell:
+        with executors.executor(trials.where, trials=missing) as pool, terminal.progress() as tell:
             result = maps.run_map(plan, kept, tell, pool, follow)
     levels = [_level(level) for level in result.levels]
     asked = {"near": near, "everywhere": everywhere, "refine": refine}
@@ -187,9 +185,9 @@ def _level(level: "maps.LevelMap") -> dict[str, Any]:
         "passive": int(level.found.passive.sum()),
         "tried": int(level.tried.sum()),
         "unlike_prediction": level.disagreements,
-        "set_limits": passive_set.set_limits(level.found) if level.found.passive.any() else None,
-        "open_ends": passive_set.open_ends(level.found),
-        "volume": passive_set.volume(level.found),
+        "set_limits": level.found.limits() if level.found.passive.any() else None,
+        "open_ends": level.found.open_ends(),
+        "volume": level.found.volume(),
         "widths_db": compare.widths_db(level.envelope) if level.envelope else (),
     }
 
@@ -272,7 +270,11 @@ def search_command(
     kept = store.TrialStore(folder / "trials.jsonl")
     found = []
     follow = common.print_outcomes if results.as_json else lambda new: None
-    with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
+    with (
+        common.keeping(kept, folder),
+        executors.executor(trials.where) as pool,
+        terminal.progress() as tell,
+    ):
         for level in common.levels(active_damping):
             params = search.SearchParams(conditions, level, budget, together, doubt)
             found.append(search.run_search(search.plan_search(params), kept, tell, pool, follow))
@@ -296,9 +298,9 @@ def _search_level(result: "search.SearchResult") -> dict[str, Any]:
         "trials": len(result.steps),
         "unstable": len(result.search.unstable),
         "doubt": result.doubt,
-        "limits": passive_set.set_limits(result.found),
+        "limits": result.found.limits(),
         "open_ends": result.open_ends,
-        "volume": passive_set.volume(result.found),
+        "volume": result.found.volume(),
         "miss_ns_per_m": _miss_ns_per_m(result),
         "box": result.plan.box,
     }

@@ -8,14 +8,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.map import draw_map
 from hapticd.cli.zwidth.trial import draw_trial
 from hapticd.core.errors import ConfigError
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
@@ -150,7 +148,7 @@ def _of_device(
     folder = common.folder(out, f"report-{name}")
     kept = store.TrialStore(folder / "trials.jsonl")
     params = axis_limits.LimitsParams(conditions, common.levels(active_damping))
-    with common.keeping(kept, folder), progress() as tell:
+    with common.keeping(kept, folder), terminal.progress() as tell:
         limits = axis_limits.run_limits(axis_limits.plan_limits(params), kept, tell)
         found = maps.run_map(maps.plan_map(maps.params_about(limits)), kept, tell)
     device_file = portable.device_path(what if what.endswith(".toml") else scene.device)

@@ -17,12 +17,9 @@ from typing import Annotated, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
-from hapticd.cli.zwidth.common import announce, open_rig
 
-with deferred_imports():
+with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene
@@ -259,7 +256,7 @@ def _tried(
             terminal.talk(announced(asked.source, plan.params.trial, scene, recorded))
             shown = scene or common.scene_of(ENGINE_SCENE)
             source = sources.file_source(recorded) if recorded else _simulated(asked, shown, stack)
-        tell = stack.enter_context(progress())
+        tell = stack.enter_context(terminal.progress())
         result = _judged(plan, source, recorded, tell)
         wanted = asked.sine and sources.may_follow(result.recorded)
         sines = sources.stepped_sine(plan.params.trial, source, tell) if wanted else None
@@ -361,9 +358,9 @@ def _live(
 
     The stability of its loop is observed, not predicted.
     """
-    found = open_rig(instance, stack)
+    found = common.open_rig(instance, stack)
     skew_s = found.skew_s if file.skew is None else file.skew
-    announce(found, plan.params.trial, scene, skew_s)
+    common.announce(found, plan.params.trial, scene, skew_s)
     criteria = replace(plan.params.criteria, skew_s=skew_s)
     known = trials.plan_trial(replace(plan.params, scene=found.model, criteria=criteria))
     return replace(known, spectral_radius=None), live.daemon_source(

@@ -39,7 +39,7 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import MS_PER_S, NS_PER_US, US_PER_S
+from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
 from hapticd.protocol.answers import Status
 from hapticd.rig.experiment import begin_step, collect, servo_rate_hz
@@ -56,6 +56,8 @@ from hapticd.rig.result import (
 from hapticd.usb.frames import Capability, StatusBit
 
 __all__ = ["measure"]
+
+MS_PER_S = 1000
 
 SECONDS = 10.0
 BLOCKS = 10

@@ -105,14 +105,10 @@ def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
     found: Counter[int] = Counter()
     deadline_ns = first_deadline(now_ns, PERIOD_NS)
     for _ in range(count):
-        woken_ns = wait(deadline_ns, _nothing)
+        woken_ns = wait(deadline_ns, lambda: None)  # there is no tick to rehearse
         found[(woken_ns - deadline_ns) // NS_PER_US] += 1
         deadline_ns += PERIOD_NS * ((woken_ns - deadline_ns) // PERIOD_NS + 1)
     return found
-
-
-def _nothing() -> None:
-    """Do nothing: there is no tick to rehearse."""
 
 
 def quantiles(histogram: dict[int, int]) -> dict[str, int]:

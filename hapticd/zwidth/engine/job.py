@@ -31,19 +31,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
-from math import exp, lcm
+from math import exp, lcm, sqrt
 from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
 
-from hapticd.core.arrays import Flags, Values, aligned
+from hapticd.core.arrays import Flags, Floats, Values, aligned
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import HeatingParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.effects import copper_ohm
-from hapticd.model.excitation import Stream, held_noise, torque_record
+from hapticd.model.excitation import Stream, generator, torque_record
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.render.contact import ContactDamping
@@ -457,3 +457,10 @@ def _borders(job: Job, made: Prepared, period: int) -> list[int]:
     ticks = {tick for step in steps for tick in range(0, job.ticks, step)}
     ticks |= {round(step.at_s * job.model.rate_hz) for step in job.active_damping}
     return sorted({tick for tick in ticks if 0 <= tick < job.ticks} | {job.ticks})
+
+
+def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:
+    """Return white noise (samples,) of one-sided density `psd` per Hz, each value held for 250
+    us.
+    """
+    return sqrt(0.5 * psd * PROBE_RATE_HZ) * generator(seed, stream).standard_normal(samples)

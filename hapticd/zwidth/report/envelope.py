@@ -19,7 +19,7 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.model.predict import frequencies
-from hapticd.signal.passive_set import Edge, Envelope, admittance, of_predicted
+from hapticd.signal.passive_set import Edge, Envelope
 from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
@@ -116,8 +116,8 @@ def _of_trials(
     )
     z = conditions.display.impedances(points, level, f)
     inside = (f >= SHOWN_HZ[0]) & (f <= SHOWN_HZ[1])
-    found = (envelope_of(passed), of_predicted(f[inside], z[:, inside]))
-    measured, predicted = (admittance(one) if inverse else one for one in found)
+    found = (envelope_of(passed), Envelope.predicted(f[inside], z[:, inside]))
+    measured, predicted = (one.admittance() if inverse else one for one in found)
     return Drawn(measured, points, look, level_label(level), predicted)
 
 

@@ -23,13 +23,13 @@ from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.report.paper import legends, spread
 from hapticd.zwidth.report.style import (
     ANSWERS,
-    BLACK,
     HOLLOW,
     LEVEL_MARKS,
     MARKS,
     PREDICTED,
     WIDTH_IN,
     Axes,
+    Colour,
     Figure,
     Look,
     axes,
@@ -42,7 +42,7 @@ from hapticd.zwidth.report.style import (
     size_in,
     styled,
     tint,
-)  # fmt: skip
+)
 from hapticd.zwidth.search import SearchResult, Step, slice_at
 from hapticd.zwidth.walls import WallResult
 
@@ -62,7 +62,7 @@ AXIS_LABELS = {
 PSD_UNIT = 1e-5  # N^2/Hz
 MOST_TICKS = 5
 NARROWEST_IN = 6.0  # figure of the limits
-ALONE: Look = {"color": BLACK, "linestyle": "-"}
+ALONE: Look = {"color": Colour.BLACK, "linestyle": "-"}
 
 
 def how(conditions: Conditions, ranges: Iterable[Judged]) -> str:
@@ -325,7 +325,7 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
             markersize=6,
             clip_on=False,
         )
-    place.axhline(0.0, color=BLACK, linewidth=0.8)
+    place.axhline(0.0, color=Colour.BLACK, linewidth=0.8)
     place.xaxis.set_major_locator(MaxNLocator(integer=True))
     place.set(
         xlabel="trial",

@@ -19,6 +19,7 @@ A figure must not choose colours of its own, and must be drawn inside `styled`.
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
 from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,6 @@ from hapticd.core.arrays import Floats
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.zwidth.report import paper
-from hapticd.zwidth.report.paper import PANEL_IN, Panels
 from hapticd.zwidth.store import FIGURE_KINDS, not_writable
 
 if TYPE_CHECKING:
@@ -39,27 +39,18 @@ else:
     Axes = Figure = Any  # matplotlib is optional: it is imported where something is drawn
 
 __all__ = [
-    "BLACK",
-    "BLUE",
     "DEVICES",
     "FINE",
-    "FOREST",
-    "GREEN",
-    "GREY",
     "HOLLOW",
     "INTERVAL",
     "NORMAL",
     "OFF",
-    "OLIVE",
     "ON",
-    "ORANGE",
     "PARTS",
     "PREDICTED",
-    "PURPLE",
-    "RED",
-    "SKY",
     "WIDTH_IN",
     "Axes",
+    "Colour",
     "Figure",
     "Look",
     "axes",
@@ -80,29 +71,43 @@ __all__ = [
 
 Look = dict[str, Any]
 
-BLUE = "#0072B2"
-ORANGE = "#E69F00"
-GREEN = "#009E73"
-RED = "#D55E00"
-PURPLE = "#CC79A7"
-SKY = "#56B4E9"
-BLACK = "#000000"
-GREY = "#888888"
-BROWN = "#8C510A"
-WINE = "#882255"
-OLIVE = "#7A7A1A"
-FOREST = "#00553D"
-OFF: Look = {"color": RED, "linestyle": (0, (4, 1.5))}
-ON: Look = {"color": BLUE, "linestyle": "-"}
+
+class Colour(StrEnum):
+    """Those of Okabe and Ito (2008), and darker ones."""
+
+    BLUE = "#0072B2"
+    ORANGE = "#E69F00"
+    GREEN = "#009E73"
+    RED = "#D55E00"
+    PURPLE = "#CC79A7"
+    SKY = "#56B4E9"
+    BLACK = "#000000"
+    GREY = "#888888"
+    BROWN = "#8C510A"
+    WINE = "#882255"
+    OLIVE = "#7A7A1A"
+    FOREST = "#00553D"
+
+
+OFF: Look = {"color": Colour.RED, "linestyle": (0, (4, 1.5))}
+ON: Look = {"color": Colour.BLUE, "linestyle": "-"}
 MORE: tuple[Look, ...] = tuple(
-    {"color": colour, "linestyle": "-"} for colour in (BROWN, WINE, OLIVE, BLACK)
+    {"color": colour, "linestyle": "-"}
+    for colour in (Colour.BROWN, Colour.WINE, Colour.OLIVE, Colour.BLACK)
 )
-PREDICTED: Look = {"color": BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
+PREDICTED: Look = {"color": Colour.BLACK, "linestyle": (0, (1, 1.3)), "linewidth": 1.0}
 HOLLOW: Look = {"markerfacecolor": "white", "markeredgewidth": 0.8}
-MARKS: Look = {"color": BLACK, "linestyle": ""}
-PARTS = (("K", ORANGE), ("B > 0", GREEN), ("M > 0", SKY), ("B < 0", FOREST), ("M < 0", PURPLE))
+MARKS: Look = {"color": Colour.BLACK, "linestyle": ""}
+PARTS = (
+    ("K", Colour.ORANGE),
+    ("B > 0", Colour.GREEN),
+    ("M > 0", Colour.SKY),
+    ("B < 0", Colour.FOREST),
+    ("M < 0", Colour.PURPLE),
+)
 DEVICES: tuple[Look, ...] = tuple(
-    {"color": colour, "marker": mark} for colour, mark in ((BLACK, "o"), (WINE, "s"), (OLIVE, "^"))
+    {"color": colour, "marker": mark}
+    for colour, mark in ((Colour.BLACK, "o"), (Colour.WINE, "s"), (Colour.OLIVE, "^"))
 )
 LEVEL_MARKS = ("s", "o", "D", "v", "P")
 ANSWERS = {"passes": "o", "fails": "x", "escapes": "^"}
@@ -142,12 +147,12 @@ def styled() -> Iterator[None]:
 
 
 def mosaic(
-    panels: Panels,
+    panels: paper.Panels,
     width_in: float,
     height_in: float,
     title: str = "",
     width_mm: float | None = None,
-    panel_in: float = PANEL_IN,
+    panel_in: float = paper.PANEL_IN,
     **more: Any,
 ) -> tuple[Figure, dict[str, Axes]]:
     """Create a figure whose axes have names; a repeated name spans both places. It is `width_mm`

@@ -22,15 +22,13 @@ from hapticd.signal.impedance import Impedance
 from hapticd.signal.verdict import half_width
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BLACK,
     FINE,
-    GREEN,
-    GREY,
     INTERVAL,
     MARKS,
     PREDICTED,
     PROBABILITY,
     Axes,
+    Colour,
     Figure,
     Look,
     axes,
@@ -42,7 +40,7 @@ from hapticd.zwidth.report.style import (
     patch,
     plain_axis,
     styled,
-)  # fmt: skip
+)
 from hapticd.zwidth.sources import ReferenceSines
 from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialResult
@@ -118,7 +116,7 @@ def dress(
         ylabel=f"phase of {view.symbol} (degrees)", ylim=(-105.0, 105.0), yticks=range(-90, 91, 45)
     )
     for edge in (-90.0, 90.0):
-        phase.axhline(edge, color=BLACK, linewidth=0.8)
+        phase.axhline(edge, color=Colour.BLACK, linewidth=0.8)
     return not_judged((size, phase, *more), band_hz)
 
 
@@ -166,7 +164,7 @@ def trial_figure(
         worst.frequency_hz,
         view.sign * np.interp(worst.frequency_hz, z.frequency_hz, z.phase_deg),
         "o",
-        color=BLACK,
+        color=Colour.BLACK,
         markersize=6,
         label=f"worst: margin {worst.value:.2g} degrees",
     )
@@ -257,8 +255,12 @@ def replay_figure(
     `changed`: the settings that differ. ConfigError without matplotlib.
     """
     figure, places = axes(3, 1, 10.0, 8.0, title, width_mm=width_mm, sharex=True)
-    was = {"color": GREY, "linewidth": 3.0, "label": "recorded"}  # visible below the other one
-    would = {"color": GREEN, "linewidth": 0.9, "label": changed}
+    was = {
+        "color": Colour.GREY,
+        "linewidth": 3.0,
+        "label": "recorded",
+    }  # visible below the other one
+    would = {"color": Colour.GREEN, "linewidth": 0.9, "label": changed}
     time_s = result.time_s
     recorded = result.recorded["force_n"]
     replayed = result.replayed["force_n"]

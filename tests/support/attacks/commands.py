@@ -18,7 +18,7 @@ from typing import Any
 import msgpack
 
 from hapticd.gateway.peers import LONG, MORE, message
-from hapticd.mailbox.layout import Command, Value, value_limits
+from hapticd.mailbox.layout import Command, Result, Value, value_limits
 from support.attacks.rows import Losses, Outcome
 from support.gateway_rig import GatewayRig
 from support.raw_peer import RawPeer
@@ -27,7 +27,8 @@ PER_PASS = 18  # a pass takes 20 parts; two of these messages have two parts
 TICKS = 4  # of the servo, for each pass
 LONGEST_WAIT = 400  # passes for replies that are still due: 1.6 s of virtual time
 LONGEST_REPLY = 65_000  # the schema of all requests and answers, in JSON; a status is shorter
-CODES = {
+CODES = {result.name.lower() for result in Result if result.name.startswith("REFUSED")} | {
+    "cancelled",
     "malformed",
     "invalid",
     "unsupported_version",

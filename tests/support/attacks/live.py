@@ -43,7 +43,7 @@ PROCESSES = ("servo", "gateway", "guard", "console")
 MODULES = {
     b"hapticd.run.servo_main": "servo",
     b"hapticd.run.gateway_main": "gateway",
-    b"hapticd.guard.main": "guard",
+    b"hapticd.guard.worker": "guard",
     b"console": "console",
 }
 

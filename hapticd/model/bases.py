@@ -30,10 +30,10 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Point
 from hapticd.core.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
-from hapticd.model.blueprint import StateVariable
+from hapticd.model.blueprint import InputColumns, StateVariable
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters, Tick, radii, tick_of
-from hapticd.model.model import InputColumns, Model, Output, Outputs, frozen
+from hapticd.model.model import Model, Output, Outputs, frozen
 from hapticd.model.predict import Prediction, predict
 from hapticd.model.rational import Rational, positive_everywhere, rational
 from hapticd.model.theorem import (
@@ -46,7 +46,16 @@ from hapticd.model.theorem import (
     outside_circles,
 )
 
-__all__ = ["Conditions", "Theorem"]
+__all__ = [
+    "Basis",
+    "Conditions",
+    "Measured",
+    "Predicted",
+    "Reading",
+    "Theorem",
+    "cached_levels",
+    "model_of",
+]
 
 LEVELS = 16
 _KEPT = 4 * LEVELS  # cached lifts, circles and ticks: levels, some delays, filters
