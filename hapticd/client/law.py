@@ -39,5 +39,6 @@ def followed(
         answer = yield Ask("proxy", {"position_m": float(target_m)})
         if not (isinstance(answer, CommandError) and answer.code == "busy"):
             reply_or_raise(answer)
-        due_s = max(due_s + 1.0 / rate_hz, now_s())
-        yield Pause(due_s - now_s())
+        left_s = due_s + 1.0 / rate_hz - now_s()
+        due_s += 1.0 / rate_hz - min(left_s, 0.0)
+        yield Pause(max(left_s, 0.0))

@@ -259,6 +259,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     # exact integers in a double
     Value.TERMS: ValueLimit(0.0, float(1 << 53), "number"),
     Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),
+    Value.PROXY: ValueLimit(-10.0, 10.0, "m"),
 }
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
     Value(one.slot): ValueLimit(one.unverified[0], one.unverified[1], one.unit)

@@ -52,6 +52,7 @@ __all__ = [
     "LeaseRequest",
     "Mark",
     "Perturb",
+    "Proxy",
     "Request",
     "Set",
     "invalid",

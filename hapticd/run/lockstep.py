@@ -271,6 +271,8 @@ class LockStepClient(Client):
     def _coupled(self, request: Proxy) -> dict[str, Any]:
         """Post the position of a proxy, if there is one; return handle and proxy."""
         if not request.reads:
+            if self.newest["state"] != State.ENABLED:
+                raise CommandError("refused", "proxy: possible only in enabled; enable first")
             kind, _, values = posting(request, 0)
             self.stack.command(kind, {Value.PROXY: values[Value.PROXY]}, actor=ALONE)
         return coupling(self.newest, self._servo.realtime.rate_hz)
