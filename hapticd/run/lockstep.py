@@ -278,6 +278,7 @@ class LockStepClient(Client):
         return coupling(self.newest, self._servo.realtime.rate_hz)
 
     def _pause(self, seconds: float) -> None:
+        """Let `seconds` of virtual time pass."""
         self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
 
     def _now_s(self) -> float:
