@@ -118,11 +118,11 @@ def test_client_that_leaves_leaves_the_proxy_and_its_environment_ends(
 
 
 def test_silent_holder_is_held_before_its_lease_ends(guarded: GuardedStack) -> None:
-    leads(guarded, at_end="hold", ttl_s=1.0)
+    leads(guarded, at_end="hold", ttl_s=0.5)
     guarded.run(150)
     assert guarded.view.record["flags"] & Flag.PROXY_HELD
     assert guarded.view.record["lease_control"]
-    guarded.run(1000)
+    guarded.run(450)
     record = guarded.view.record
     assert not record["lease_control"]
     assert record["proxy_m"] == 0.005

@@ -120,7 +120,7 @@ def test_slow_law_moves_the_proxy_smoothly() -> None:
 
 
 def test_law_that_pumps_gives_the_hand_no_more_than_its_energy_and_power() -> None:
-    ticks = 5000
+    ticks = 1500
     free = ProxyFlight(with_range(safety=generous()), mass_kg=0.2)
     bound = ProxyFlight(with_range(), mass_kg=0.2)
     found = []
@@ -263,8 +263,8 @@ def test_recording_with_a_proxy_replays_to_the_bit() -> None:
         stack = flight.stack
         stack.do(Command.SET, {Value.LEASE_CONTROL: float(OWNER)})
         stack.do(Command.ENABLE)
-        for number in range(120):
-            target = 0.01 * np.sin(0.1 * number)
+        for number in range(50):
+            target = 0.01 * np.sin(0.2 * number)
             stack.command(Command.PROXY, {Value.PROXY: target}, actor=OWNER)
             flight.fly(20)
         stack.do(Command.STOP)
