@@ -39,7 +39,8 @@ def test_wall_is_stiffer_with_damping_without_a_daemon(tmp_path):
     assert 0.0 < 2.0 * without < damped
 
 
-def test_mass_behind_a_coupling_is_felt_as_computed_without_a_daemon(tmp_path):
+def test_mass_behind_a_coupling_is_felt_as_computed_without_a_daemon(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
     alone, coupled, *lines = virtual("virtual_coupling", tmp_path)
     assert 5.0 < float(alone.split()[-4]) < 50.0  # g
     assert coupled.endswith("held: False")
