@@ -40,6 +40,7 @@ FIELDS = {
     "wall_stiffness_n_per_m": "stiffness of the virtual wall in force",
     "wall_position_m": "position of the virtual wall",
     **{one.column: one.meaning for one in FURTHER},
+    "proxy_m": "position of the proxy, from which the virtual spring acts; 0 without a law",
     "wall_side": "+1: solid beyond the position, -1: solid before it, 0: no wall",
     "watches": "bits: limit-cycle faults that are on, see below",
     "environment_revision": "number of changes of the environment and of the active damping",
@@ -100,6 +101,7 @@ FLAGS = {
     "PAUSED": "ramps wait for their energy budget",
     "CONTROLLED": "the energy controller set more active damping, or less K and B, than requested",
     "WITHHELD": "no frame was sent, to test the board's watchdog",
+    "PROXY_HELD": "the proxy stays: its law is late or has no lease, or its energy is used up",
 }
 LATE_CAUSES = {
     "NONE": "the tick before was on time",

@@ -20,8 +20,8 @@
     DaemonDown     no daemon answers, or the gateway has no servo
 
 These are in `client`, `aio`, `listener`, `sequence` and `blocks`. The package also has `design`
-(experiments), `commands` and `telemetry` (shared by the clients) and `formatting` (text for people,
-and the warning).
+(experiments), `law` (a law of one's own), `commands` and `telemetry` (shared by the clients) and
+`formatting` (text for people, and the warning).
 
 `fast_stop` is the short path to a stop, for programs that must not load large modules. The names
 above are loaded on first use, so that it stays fast.

@@ -47,7 +47,16 @@ from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
-from hapticd.protocol.answers import Event, Get, GuardStatus, GuardVerdict, Hello, Receipt, Status
+from hapticd.protocol.answers import (
+    Coupling,
+    Event,
+    Get,
+    GuardStatus,
+    GuardVerdict,
+    Hello,
+    Receipt,
+    Status,
+)
 
 __all__ = ["AsyncClient"]
 
@@ -166,6 +175,7 @@ class AsyncClient(
         Awaitable[Status],
         Awaitable[GuardStatus],
         Awaitable[Answer],
+        Awaitable[Coupling],
     ]
 ):
     """One connection to the daemon `instance`, used as an asynchronous context manager.

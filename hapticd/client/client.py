@@ -63,6 +63,7 @@ from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
 from hapticd.protocol.answers import (
+    Coupling,
     Event,
     Get,
     GuardStatus,
@@ -284,7 +285,10 @@ class GatewayConnection(Subscription):
         return quiet(topic, self._folder, timeout_s)
 
 
-class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus, dict[str, Any]]):
+class Client(
+    TelemetryReader,
+    Commands[Receipt, Hello, Get, Status, GuardStatus, dict[str, Any], Coupling],
+):
     """One connection to the daemon `instance`, best used as a context manager.
 
     `timeout_s` bounds every call; `name` identifies this client in logs and status; `folder` is the

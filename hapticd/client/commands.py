@@ -19,6 +19,7 @@ from hapticd.core.errors import DaemonDown, HapticdError, SequenceError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.protocol.answers import (
+    Coupling,
     Event,
     Get,
     GuardStatus,
@@ -32,6 +33,7 @@ from hapticd.protocol.answers import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from hapticd.client.law import Law
     from hapticd.client.sequence import AtRefusal, Step, StepReceipt
     from hapticd.core.params import BasisName, DampingMode, Policy
 
@@ -45,6 +47,7 @@ P = TypeVar("P")  # a Get
 S = TypeVar("S")  # a Status
 G = TypeVar("G")  # a GuardStatus
 D = TypeVar("D")  # of other questions: a map
+C = TypeVar("C")  # a Coupling
 
 POLL_S = 0.02  # between two polls of the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
@@ -75,7 +78,7 @@ def reply_or_raise(answer: Any) -> Any:
     return answer
 
 
-class Commands(Generic[R, H, P, S, G, D]):
+class Commands(Generic[R, H, P, S, G, D, C]):
     """Questions and changes. CommandError if the daemon refuses, DaemonDown without an answer in
     time.
     """
@@ -342,6 +345,39 @@ class Commands(Generic[R, H, P, S, G, D]):
         'applied'
         """
         return self._change("perturb", action="stop")
+
+    def proxy(self, position_m: float | None = None) -> C:
+        """Move the anchor of the virtual spring to `position_m` [m]; return handle and proxy.
+
+        It moves at limited speed, range and energy, while the lease of the environment is held in
+        state `enabled`, and stays when no new position follows. Without a position: only read.
+
+        >>> device.proxy().proxy_m
+        0.0
+        """
+        found: C = self._answer(Coupling, "proxy", position_m=position_m)
+        return found
+
+    def follow_law(self, law: "Law", rate_hz: float = 500.0, duration_s: float | None = None) -> C:
+        """Let `law` move the proxy, `rate_hz` times a second; return the last `Coupling`.
+
+        `law` gets a `Coupling` and returns the next position of the proxy [m], or None to end. It
+        ends after `duration_s` on the servo's clock, or never. CommandError if the lease or the
+        force ends; the proxy then stays where it is.
+
+        >>> with device.lease("environment"):
+        ...     device.follow_law(lambda felt: 0.0, duration_s=0.1).proxy_m
+        Traceback (most recent call last):
+        CommandError: proxy in state disabled: possible only in enabled
+        """
+        from hapticd.client.law import followed
+
+        found: C = self._carried_out(followed(law, rate_hz, duration_s, self._now_s))
+        return found
+
+    def _now_s(self) -> float:
+        """Return the time of the clock by which pauses pass."""
+        return time.monotonic()
 
     def dump(self) -> D:
         """Write the flight recording and return {path, records, reason}.

@@ -352,5 +352,5 @@ JUDGED: Final = tuple(dict.fromkeys(one.key.partition(".")[0] for one in FIELDS)
 STRENGTHS: Final = tuple(one for one in FIELDS if one.strength)
 # Lower slots are taken. A field with a slot from here on is a further parameter: the law takes it
 # after its own numbers. The guard, whose model is linear, cannot judge it unless it is 0.
-FIRST_FURTHER_SLOT: Final = 26
+FIRST_FURTHER_SLOT: Final = 27
 FURTHER: Final = tuple(one for one in FIELDS if one.slot >= FIRST_FURTHER_SLOT)

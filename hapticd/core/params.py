@@ -289,6 +289,16 @@ class SafetyParams(TableParams):
     """Faults force_at_limit and energy."""
     energy_controller: bool = False
     """Before the fault `energy`, raise the active damping, then reduce K, B, M and walls."""
+    proxy_speed_m_per_s: Positive = 1.0
+    """Fastest motion of a proxy."""
+    proxy_timeout_s: Annotated[float, Constraints(ge=0.002, le=1)] = 0.1
+    """A proxy without a new position for this time stays where it is."""
+    proxy_energy_j: NotNegative = 0.1
+    """Energy that a law may put into the spring beyond what it took from it."""
+    proxy_power_w: NotNegative = 0.02
+    """Rate at which used energy of a law is granted again."""
+    proxy_stored_j: NotNegative = 1.0
+    """Energy taken from the spring that a law may return later, at most."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,12 +35,14 @@ from hapticd.protocol.commands import (
     ACCEPTED,
     Situation,
     admit,
+    coupling,
     parameters,
     posting,
     receipt,
     refusal,
 )
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.protocol.leases import ENVIRONMENT
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import (
     Change,
@@ -51,6 +53,7 @@ from hapticd.protocol.schemas import (
     LeaseRequest,
     Mark,
     Perturb,
+    Proxy,
     Request,
     json_schema,
 )
@@ -246,6 +249,8 @@ class CommandServer:
             }
         if isinstance(request, Perturb) and request.action == "load":
             return self._load(request, actor)
+        if isinstance(request, Proxy):
+            return self._proxied(request, actor)
         if isinstance(request, LeaseRequest):
             if request.action == "fail":
                 self._guarded.give_up(actor)
@@ -279,6 +284,24 @@ class CommandServer:
         if self._outstanding.awaits("perturb") or self._view.record.get("perturbing"):
             raise CommandError("busy", "perturb load: a waveform may be playing; stop it first")
         return {"samples": self._waveform.load(request, self._view, actor)}
+
+    def _proxied(self, request: Proxy, actor: int) -> dict[str, Any]:
+        """Post the position of a proxy, which the servo does not answer; return the newest record's
+        handle and proxy.
+        """
+        self._view.require_servo("proxy")
+        mailbox = self._view.mailbox
+        if mailbox is not None and not request.reads:
+            if self.leases.holder(ENVIRONMENT) is None:
+                raise CommandError("leased", "proxy: take the lease of `environment` first")
+            if self._view.params.device.commissioning:
+                reason = "the signs of the device are not verified; `hapticd rig motor` first"
+                raise CommandError("refused", f"proxy: {reason}")
+            if mailbox.backlog >= TAKEN_PER_TICK:  # the newest position is soon followed by another
+                raise CommandError("busy", "proxy: the servo has not taken the positions before")
+            kind, at_tick, values = posting(request, 0)
+            mailbox.post(kind, actor, at_tick, values)
+        return coupling(self._view.record, self._view.params.realtime.rate_hz)
 
     def guard_summary(self) -> dict[str, Any]:
         """Return policy, worker and progress, for `status` and the command `guard`."""

@@ -183,6 +183,7 @@ class Command(IntEnum):
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
     # set the terms of judgements; changes scheduled under other terms are cancelled
     TERMS = 14
+    PROXY = 16  # where the law of a client puts the proxy; not answered
     WITHDRAWN = 15  # in place of one that the gateway withdrew before the servo took it
 
 
@@ -217,6 +218,7 @@ class Value(IntEnum):
     # number of the terms by which a change was judged; ANY_TERMS: the end of a bounded change
     TERMS = 24
     UNTIL_TICK = 25  # from which the fields of the change return to their values before it
+    PROXY = 26  # m
     locals().update({one.path.upper(): one.slot for one in FURTHER})
 
 
@@ -257,6 +259,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     # exact integers in a double
     Value.TERMS: ValueLimit(0.0, float(1 << 53), "number"),
     Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),
+    Value.PROXY: ValueLimit(-10.0, 10.0, "m"),
 }
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
     Value(one.slot): ValueLimit(one.unverified[0], one.unverified[1], one.unit)
@@ -346,6 +349,7 @@ TELEMETRY = (
     ("wall_stiffness_n_per_m", "<f8"),
     ("wall_position_m", "<f8"),
     *((one.column, "<f8") for one in FURTHER),
+    ("proxy_m", "<f8"),  # where the spring is anchored (servo.proxy)
     ("wall_side", "<i4"),
     ("watches", "<u4"),  # Watched
     ("environment_revision", "<u4"),  # counts changes of environment and damping
@@ -461,6 +465,7 @@ class Flag(IntEnum):
     PAUSED = 16384  # ramps wait, because they have added the maximum energy of a second
     CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than requested
     WITHHELD = 65536  # no frame was sent: test of the board's watchdog (servo.watchdog_trial)
+    PROXY_HELD = 131072  # the proxy stays: its law is late or gone, or has no energy left
 
 
 class LateCause(IntEnum):

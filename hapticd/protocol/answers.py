@@ -20,6 +20,7 @@ from hapticd.protocol.journal import Entry
 
 __all__ = [
     "Compensation",
+    "Coupling",
     "Delivered",
     "Event",
     "Get",
@@ -208,6 +209,20 @@ class Get:
     #: at the ends of their ramps, in the shape of a `set`; units as in `Hello.limits`
     parameters: dict[str, Any] = field(default_factory=dict)
     in_force: InForce = InForce()
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Handle and proxy at one tick, for the law of a proxy."""
+
+    tick: int = 0
+    time_s: float = 0.0  #: since the servo started, lost periods included
+    position_m: float = 0.0  #: of the handle
+    velocity_m_per_s: float = 0.0  #: of the handle, filtered
+    proxy_m: float = 0.0  #: position of the proxy
+    force_n: float = 0.0  #: of the spring on the proxy; the opposite acts on the handle
+    stiffness_n_per_m: float = 0.0  #: of the spring, gain included
+    held: bool = False  #: whether the proxy does not follow: late, no lease or no energy
 
 
 @dataclass(frozen=True, slots=True)

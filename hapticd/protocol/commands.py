@@ -13,6 +13,7 @@ The check for passivity runs in another process, see `guard.request_queue`. STOP
 interlocks.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from math import nan
@@ -22,7 +23,7 @@ from hapticd.core.environment import JUDGED, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import LATCHED, Command, Result, State, Value, values_of
+from hapticd.mailbox.layout import LATCHED, Command, Flag, Result, State, Value, values_of
 from hapticd.protocol.journal import Actors
 from hapticd.protocol.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
 from hapticd.protocol.limits import PLACES, CommandLimits
@@ -31,6 +32,7 @@ from hapticd.protocol.schemas import (
     Damping,
     GuardRequest,
     Perturb,
+    Proxy,
     Request,
     Set,
     Withhold,
@@ -47,6 +49,7 @@ __all__ = [
     "admit",
     "change_posting",
     "changed_parts",
+    "coupling",
     "forbidden",
     "parameters",
     "posting",
@@ -65,6 +68,7 @@ ALLOWED: dict[
     "home": (State.DISABLED,),
     "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
+    "proxy": (State.ENABLED,),
 }
 # fields of a change that are not parameters; the last two have separate slots
 NO_VALUES = {*Change.model_fields, "cmd", "limit_cycle_faults", "until_tick"}
@@ -86,6 +90,8 @@ def posting(request: Request, samples: int) -> Posting:
             0,
             values_of({Value.SAMPLES: samples, Value.LOOP: request.loop}),
         )
+    if isinstance(request, Proxy):
+        return Command.PROXY, 0, values_of({Value.PROXY: request.position_m})
     if isinstance(request, Withhold):
         return Command.WITHHOLD, 0, values_of({Value.SILENCE_S: request.seconds})
     return Command[request.cmd.upper()], 0, values_of({})
@@ -156,6 +162,20 @@ def receipt(answer: Answer) -> dict[str, Any]:
         "first_tick": answer.first_tick,
         "ramp_end_tick": answer.ramp_end_tick,
         "effective": parameters(answer.effective),
+    }
+
+
+def coupling(record: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
+    """Return the reply to `proxy` (`answers.Coupling`) for a record."""
+    return {
+        "tick": int(record["tick"]),
+        "time_s": int(record["slot"]) / rate_hz,
+        "position_m": float(record["position_m"]),
+        "velocity_m_per_s": float(record["velocity_m_per_s"]),
+        "proxy_m": float(record["proxy_m"]),
+        "force_n": -float(record["stiffness_force_n"]),
+        "stiffness_n_per_m": float(record["gain"] * record["stiffness_n_per_m"]),
+        "held": bool(record["flags"] & Flag.PROXY_HELD),
     }
 
 
@@ -325,6 +345,8 @@ def _check_state(request: Request, situation: Situation) -> None:
         _check_revision(request, situation)
     if isinstance(request, Perturb) and request.action != "start":
         return
+    if isinstance(request, Proxy) and request.reads:
+        return
     if isinstance(request, Perturb) and not situation.samples:
         raise CommandError(
             "refused",
@@ -361,6 +383,8 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
         return (DAMPING,)
     if isinstance(request, Perturb):
         return (PERTURBATION,)
+    if isinstance(request, Proxy):
+        return () if request.reads else (ENVIRONMENT,)
     if isinstance(request, GuardRequest):
         terms = request.given.keys() & {"policy", "basis", "margin_ns_per_m"}
         parts = (ENVIRONMENT,) if terms else ()

@@ -7,7 +7,7 @@ for the device (`mailbox.client_side`).
 from math import inf, isfinite
 from typing import Any, NamedTuple
 
-from hapticd.core.environment import SLOTS, flat
+from hapticd.core.environment import SLOTS, WorkspaceParams, flat
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import EnvironmentLimits, ServoParams
 from hapticd.mailbox.client_side import AXES
@@ -25,6 +25,7 @@ SOURCES = {
     Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
     Value.ACCELERATION_FILTER_HZ: "it is 0.45 of the servo rate",
 }
+ANYWHERE = WorkspaceParams()
 BOUNDED = "of this device, against mistaken units"
 G_PER_KG = 1000.0
 UNVERIFIED = "the signs of this device are not verified: `hapticd rig motor`"
@@ -56,6 +57,7 @@ class CommandLimits:
         bounds: EnvironmentLimits | None = None,
         commissioning: bool = False,
         probe_n: float = inf,
+        ends: WorkspaceParams = ANYWHERE,
     ) -> None:
         table = value_limits(rate_hz, active_damping_ns_per_m, commissioning)
         sources = SOURCES | dict.fromkeys(COMMISSIONING_LIMITS if commissioning else (), UNVERIFIED)
@@ -65,6 +67,7 @@ class CommandLimits:
         }
         self.of["value"] = self.of["active_damping"]
         self.of["samples_n"] = CommandLimit(-probe_n, probe_n, "N", "the device file sets it")
+        self.of["position_m"] = CommandLimit(ends.lower_m, ends.upper_m, "m", "the workspace")
         if bounds is not None:
             self._narrow(bounds)
 
@@ -85,6 +88,7 @@ class CommandLimits:
             device.environment_limits,
             device.commissioning,
             device.probe_limit_n,
+            servo.soft_ends,
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:

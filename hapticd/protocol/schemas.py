@@ -52,6 +52,7 @@ __all__ = [
     "LeaseRequest",
     "Mark",
     "Perturb",
+    "Proxy",
     "Request",
     "Set",
     "invalid",
@@ -326,6 +327,23 @@ class Perturb(CommandMessage):
 Ttl = Annotated[float, Field(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)]
 
 
+class Proxy(CommandMessage):
+    """Move the anchor of the virtual spring, for a law in a process of one's own; return handle and
+    proxy.
+    """
+
+    cmd: Literal["proxy"]
+    position_m: float = _absent(
+        "where it goes, at limited speed and energy; needs the lease of the environment and state"
+        " enabled; left out: only read"
+    )
+
+    @property
+    def reads(self) -> bool:
+        """Whether it moves nothing."""
+        return "position_m" not in self.model_fields_set
+
+
 class LeaseRequest(CommandMessage):
     """Take, renew or release the exclusive right to change a part of the display. A lease lasts as
     long as its connection sends a request at least every `ttl_s`.
@@ -412,6 +430,7 @@ Request = (
     | Home
     | Withhold
     | Perturb
+    | Proxy
     | LeaseRequest
     | GuardRequest
     | Status
@@ -424,20 +443,27 @@ MODELS: dict[str, type[CommandMessage]] = {
     get_args(model.model_fields["cmd"].annotation)[0]: model for model in get_args(Request)
 }
 
-# replies to hello, get, status, guard, lease and changes, and the topic `event`; in the JSON schema
-# as `HelloAnswer` and so on
+# replies to hello, get, status, guard, proxy, lease and changes, and the topic `event`; in the JSON
+# schema as `HelloAnswer` and so on
 ANSWERS = (
     answers.Hello,
     answers.Get,
     answers.Status,
     answers.GuardStatus,
+    answers.Coupling,
     answers.LeaseHeld,
     answers.LeaseReleased,
     answers.Receipt,
     answers.GuardVerdict,
     answers.Event,
 )
-LIMITED = {*JUDGED, "ramp_s", "value", "samples_n"}  # fields whose ranges depend on the device
+LIMITED = {
+    *JUDGED,
+    "ramp_s",
+    "value",
+    "samples_n",
+    "position_m",
+}  # fields whose ranges depend on the device
 WITHOUT_LIMIT = {name for model in MODELS.values() for name in model.model_fields} - LIMITED
 
 MOST_DETAILS = 8

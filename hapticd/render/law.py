@@ -62,6 +62,7 @@ from hapticd.core.environment import FilterParams
 from hapticd.core.errors import ConfigError
 
 __all__ = [
+    "BIAS",
     "EMPTY",
     "EXCESS",
     "FORCE",
@@ -200,6 +201,7 @@ LawState = tuple[float, float, float, float, float, float]
 LawInputs = tuple[float, ...]
 # indices into the inputs
 MASS: Final = 2
+BIAS: Final = 3
 LIMIT: Final = 4
 Coefficients = tuple[float, float, float, float, float, float, float, float, float, float]
 Rendered = tuple[float, float, float, float, float, float, float, float, LawState]

@@ -216,9 +216,6 @@ class VirtualBoard(LockStepClient):
         """Load a waveform: force [N] at 4 kHz, shape (n,). Return its number of samples."""
         return Client.perturb_load(self, samples_n)
 
-    def _pause(self, seconds: float) -> None:
-        self.sleep(seconds)
-
 
 class _AsyncConnection:
     """Connection of an AsyncClient to a virtual board."""

@@ -16,6 +16,7 @@ layers below.
     commands    one command on one plan
     safety      TABLE: the state after each command, and the torque and damping of a state; the
                 monitors of a limit cycle, and of unverified signs
+    proxy       the anchor of the virtual spring, moved by the law of a client
     inbox       Inbox: requests and faults due at a tick; Streamer: a waveform into the board's FIFO
     watchdog_trial  frames withheld, for the board's watchdog
     energy      the limits on the force step and on the energy of a change; ends an energy leak

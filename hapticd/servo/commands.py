@@ -35,6 +35,7 @@ from hapticd.servo import safety, watchdog_trial
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
     FILTERED,
+    NO_PROXY,
     NO_WAVE,
     Answer,
     Plan,
@@ -49,6 +50,7 @@ from hapticd.servo.plan import (
     with_values,
     without_origin,
 )
+from hapticd.servo.proxy import aimed
 from hapticd.servo.safety import GRANTED, LATCHED, Push, State
 
 # faults that the gateway may detect and request
@@ -145,6 +147,7 @@ def enter(
         glitches=(),
         short_since=-1,
         revision=following(plan.revision),
+        proxy=plan.proxy if state in LATCHED else NO_PROXY,
     )
     if state is not State.ENABLED:
         # a trial may have switched the faults off: restore the configuration
@@ -213,6 +216,8 @@ def obey(
         after, result = watchdog_trial.begun(plan, values, now.tick, params)
         end = max(now.tick, after.silent_until)
         return after, [answer(after, seq, result, (now.tick, end), params)]
+    if kind == Command.PROXY:  # not answered: the records show it
+        return aimed(plan, request, now.tick, params), []
     target = _target(plan, request, now, params)
     if isinstance(target, Result):
         until = held_until(plan, params) if target is Result.REFUSED_OWNER else now.tick

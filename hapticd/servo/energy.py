@@ -116,11 +116,14 @@ def stored(environment: LawInputs, x: float, v: float) -> tuple[float, ...]:
     """Return the energies [J] that the elements of `environment` store at `x` [m] and `v` [m/s].
     Order: spring, WALL, ends, mass, further springs.
     """
-    stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = environment
+    stiffness, _, mass, bias, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = (
+        environment
+    )
+    bent = x - bias / stiffness if bias and stiffness else x  # from the proxy
     depth = max(0.0, (x - wall_x) * side)
     beyond = max(0.0, x - upper, lower - x)
     return (
-        spring_energy(stiffness, x, limit),
+        spring_energy(stiffness, bent, limit),
         spring_energy(wall_k, depth, limit),
         spring_energy(end_k, beyond, limit),
         0.5 * mass * v * v,

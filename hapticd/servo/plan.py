@@ -39,6 +39,7 @@ from hapticd.mailbox.layout import (
     value_limits,
 )
 from hapticd.render.law import (
+    BIAS,
     Coefficients,
     LawInputs,
     LawState,
@@ -105,6 +106,22 @@ class Control(NamedTuple):
     excess_j: float = 0.0  # at that step
 
 
+class Proxy(NamedTuple):
+    """The anchor of the virtual spring, which the law of a client moves (servo.proxy)."""
+
+    owner: int = 0  # actor of the law, 0: none
+    position_m: float = 0.0
+    target_m: float = 0.0
+    step_m: float = 0.0  # of a tick, on the way to the target
+    asked_tick: int = 0  # of the target
+    moved_tick: int = 0
+    energy_j: float = 0.0  # put into the spring at that tick, less what was taken from it
+    held: bool = False  # it does not follow its target
+
+
+NO_PROXY: Final = Proxy()
+
+
 class Plan(NamedTuple):
     """Intentions. Ramps in SI units; `added` are levels of active damping."""
 
@@ -146,6 +163,7 @@ class Plan(NamedTuple):
     # slot since which withheld force has not been complete again, -1: it is complete
     short_since: int = -1
     terms: int = ANY_TERMS  # number of the gateway's terms, ANY_TERMS: none received
+    proxy: Proxy = NO_PROXY
 
 
 class Booking(NamedTuple):
@@ -333,6 +351,7 @@ class TickConstants:
     flags: int  # of every record
     plan: Plan
     resistance_count: int = 0  # of the OUT frame
+    proxy_n: float = 0.0  # force of the spring at x = 0, because of the proxy
 
 
 Former = tuple[LawState, Ledger]  # as they were before the last sample
@@ -464,6 +483,7 @@ def tick_constants(
         at[Value.WALL_STIFFNESS],
         at[Value.WALL_POSITION],
         *(at[one.slot] for one in FURTHER),
+        plan.proxy.position_m,
         round(at[Value.WALL_SIDE]),
         watches(params, plan.limit_cycle_faults) | COMMISSIONING * params.device.commissioning,
         plan.environment_revision,
@@ -471,7 +491,7 @@ def tick_constants(
     )
     watched, calm = watch(flags)
     return TickConstants(
-        wake_tick=wake_tick(plan, tick, params),
+        wake_tick=min(wake_tick(plan, tick, params), proxy_tick(plan, tick, params)),
         environment=environment,
         coefficients=coefficients,
         out_flags=flags,
@@ -485,12 +505,14 @@ def tick_constants(
         flags=standing_flags(plan),
         plan=plan,
         resistance_count=plan.winding.dac_count,
+        proxy_n=environment[BIAS] if plan.proxy.position_m else 0.0,
     )
 
 
 def standing_flags(plan: Plan) -> int:
     """Return the flags of every record while `plan` holds."""
-    return int(Flag.CONTROLLED) if plan.control.places else 0
+    controlled = int(Flag.CONTROLLED) if plan.control.places else 0
+    return controlled | int(Flag.PROXY_HELD) if plan.proxy.held else controlled
 
 
 def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float) -> LawInputs:
@@ -502,13 +524,16 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
     gain = plan.gain.value(tick)
     at = plan.values
     # a force from outside the law: the fading push of a stopped homing
-    bias = plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
+    push = plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
+    bias = push
+    if plan.proxy.position_m and not push:  # the spring acts on the distance from it
+        bias = gain * at[Value.STIFFNESS].value(tick) * plan.proxy.position_m
     return (
         gain * at[Value.STIFFNESS].value(tick),
         gain * at[Value.VIRTUAL_DAMPING].value(tick),
         gain * at[Value.MASS].value(tick),
         bias,
-        limit_n if bias else gain * limit_n,
+        limit_n if push else gain * limit_n,
         gain * at[Value.WALL_STIFFNESS].value(tick),
         gain * at[Value.WALL_VIRTUAL_DAMPING].value(tick),
         at[Value.WALL_POSITION].value(tick),
@@ -545,6 +570,22 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
     return min(events, default=NEVER)
 
 
+def proxy_tick(plan: Plan, tick: int, params: ServoParams) -> int:
+    """Return the first tick after `tick` at which the proxy moves, or is no longer told to."""
+    proxy = plan.proxy
+    if not proxy.owner:
+        return NEVER
+    late = proxy.asked_tick + proxy_ticks(params) + 1
+    if plan.state is State.ENABLED and tick >= late:
+        return NEVER
+    return tick + 1 if proxy.position_m != proxy.target_m else max(late, tick + 1)
+
+
+def proxy_ticks(params: ServoParams) -> int:
+    """Return the ticks for which a target of the proxy is valid."""
+    return round_half_up(params.safety.proxy_timeout_s * params.realtime.rate_hz)
+
+
 def flatten(state: ServoState) -> tuple[Any, ...]:
     """Return `state` as tuples, numbers and text."""
     settled, law, ledger, held, signs = state
@@ -563,6 +604,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "winding": tuple(plan.winding),
         "control": tuple(plan.control),
         "push": tuple(plan.push),
+        "proxy": tuple(plan.proxy),
     }
     return (
         settled.wake_tick,
@@ -598,14 +640,15 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "winding": Winding(*fields["winding"]),
         "control": Control(*fields["control"]),
         "push": Push(*fields["push"]),
+        "proxy": Proxy(*fields["proxy"]),
     }
     law, ledger, origin, signs, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
     whole = Plan(**renewed)
     looks = watch(flags)
     of_plan = standing_flags(whole)
-    dac_count = whole.winding.dac_count
-    settled = TickConstants(*before, origin, host, whole.wave, *looks, of_plan, whole, dac_count)
+    more = whole.winding.dac_count, environment[BIAS] if whole.proxy.position_m else 0.0
+    settled = TickConstants(*before, origin, host, whole.wave, *looks, of_plan, whole, *more)
     return settled, law, ledger, held, Signs(*signs)
 
 

@@ -59,8 +59,10 @@ from hapticd.servo.plan import (
     environment_of,
     fault_request,
     tick_constants,
+    wake_tick,
     with_origin,
 )
+from hapticd.servo.proxy import moved
 from hapticd.servo.safety import (
     CALM,
     GRANTED,
@@ -244,13 +246,19 @@ class SlowPath:
             x = self._samples.position_m(plan, encoder) if usable else None
             plan, held_back = eased(plan, settled, x, law, coefficients, tick, self._params)
             flags |= held_back
+        if plan.proxy.owner:
+            doubted = not usable or flags & Flag.DOUBTED
+            x = None if doubted else self._samples.position_m(plan, encoder)
+            plan = moved(plan, x, tick, self._params)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
         params = self._params
         environment = self._environment(plan, tick)
         sent_flags = out_flags(plan, tick)
         settled = tick_constants(plan, tick, params, environment, coefficients, sent_flags, host)
-        flags |= settled.flags | _pending_flags(plan, settled.wake_tick, tick)
+        # a moving proxy is not a ramp
+        wake = wake_tick(plan, tick, params) if plan.proxy.owner else settled.wake_tick
+        flags |= settled.flags | _pending_flags(plan, wake, tick)
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
     def _environment(self, plan: Plan, tick: int) -> LawInputs:

@@ -225,6 +225,8 @@ def make_step(params: ServoParams) -> Step:
         newtons, total, v, a, spring, damper, inertia, field, after = render(
             x, law, environment, settled.coefficients
         )
+        if settled.proxy_n:  # part of the bias
+            spring += settled.proxy_n
         moved_m = after[1]
         bend_m = moved_m - law[1]
         # no chained comparison: CPython compares two floats faster alone

@@ -3,6 +3,7 @@
 import importlib.util
 import itertools
 
+import numpy as np
 import pytest
 from support.examples import EXAMPLES, virtual
 
@@ -36,6 +37,20 @@ def test_toggle_moves_less_with_damping_without_a_daemon(tmp_path):
 def test_wall_is_stiffer_with_damping_without_a_daemon(tmp_path):
     without, damped = (float(line.split()[-2]) for line in virtual("wall", tmp_path))
     assert 0.0 < 2.0 * without < damped
+
+
+def test_mass_behind_a_coupling_is_felt_as_computed_without_a_daemon(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    alone, coupled, *lines = virtual("virtual_coupling", tmp_path)
+    assert 5.0 < float(alone.split()[-4]) < 50.0  # g
+    assert coupled.endswith("held: False")
+    example = loaded("virtual_coupling")
+    for line in lines:
+        frequency_hz = float(line.split()[0])
+        mass = 2j * np.pi * frequency_hz * example.MASS_KG + example.FRICTION_NS_PER_M
+        spring = example.STIFFNESS_N_PER_M / (2j * np.pi * frequency_hz)
+        exact = abs(mass * spring / (mass + spring) + example.ACTIVE_NS_PER_M)
+        assert float(line.split("felt")[1].split()[0]) == pytest.approx(exact, rel=0.2)
 
 
 def test_jnd_finds_what_the_observer_notices_without_a_daemon(tmp_path):

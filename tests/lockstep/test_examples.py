@@ -9,7 +9,7 @@ from support.examples import EXAMPLES
 from support.tree import ROOT
 
 
-@pytest.mark.parametrize("name", ["sweep", "toggle", "steps", "wall", "jnd"])
+@pytest.mark.parametrize("name", ["sweep", "toggle", "steps", "wall", "jnd", "virtual_coupling"])
 def test_every_example_names_the_instance_it_does_not_find(name, tmp_path):
     done = subprocess.run(
         [sys.executable, EXAMPLES / f"{name}.py", "--instance", "nope"],

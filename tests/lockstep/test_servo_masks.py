@@ -5,9 +5,10 @@ from math import inf, nan
 import pytest
 from support.boards import board_params
 from support.models import servo_params
+from support.proxies import with_range
 
 from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Command, Result
+from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
@@ -28,7 +29,7 @@ def said(stack, kind, first):
 def test_no_mask_ends_the_servo(mask, enabled):
     with LockStep(servo_params(), board_params()) as stack:
         stack.run(5)
-        for kind in (one for one in Command if one not in OBEYED):
+        for kind in (one for one in Command if one not in (*OBEYED, Command.PROXY)):
             if enabled:
                 stack.do(Command.ENABLE)
             result = said(stack, kind, mask)
@@ -37,3 +38,16 @@ def test_no_mask_ends_the_servo(mask, enabled):
             assert stack.loop.state[0].plan.state is (State.ENABLED if enabled else State.DISABLED)
         assert said(stack, Command.STOP, mask) is Result.APPLIED
         assert as_records(stack.run(5))["state"][-1] == State.STOPPED
+
+
+@pytest.mark.parametrize("number", NO_MASKS)
+def test_no_number_of_a_proxy_ends_the_servo_or_is_answered(number):
+    with LockStep(with_range(), board_params()) as stack:
+        stack.run(5)
+        stack.do(Command.SET, {Value.LEASE_CONTROL: 1.0})
+        stack.do(Command.ENABLE)
+        seq = stack.gateway.post(Command.PROXY, 1, 0, (number,) * layout.COMMAND_VALUES)
+        record = as_records(stack.run(5))[-1]
+        assert seq not in [one.seq for one in stack.gateway.answers()]
+        assert record["state"] == State.ENABLED
+        assert record["proxy_m"] == record["force_n"] == 0.0

@@ -42,7 +42,9 @@ def programs(page: str) -> list[str]:
     return [block for block in blocks if "import " in block]
 
 
-@pytest.mark.parametrize("page", ["quickstart.md", "guard.md", "leases.md", "zwidth.md"])
+@pytest.mark.parametrize(
+    "page", ["quickstart.md", "guard.md", "leases.md", "custom-environments.md", "zwidth.md"]
+)
 def test_programs_of_the_page_run(page: str, hapticd_daemon: DaemonProcess, tmp_path: Path) -> None:
     (program,) = programs(page)
     with hapticd_daemon.client() as device:

@@ -252,6 +252,7 @@ class StandInServo:
             v[13],
             v[9],
             v[11],
+            0.0,
             int(v[12]),
             7 if v[Value.LIMIT_CYCLE_FAULTS] else 2,
             int(v[Value.ENVIRONMENT_REVISION]),

@@ -428,6 +428,7 @@ def test_schema_carries_units_and_limits(rig: CommandServerRig) -> None:
         "zero",
         "home",
         "perturb",
+        "proxy",
         "lease",
         "guard",
         "status",
