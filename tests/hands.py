@@ -7,11 +7,13 @@
 Each environment is a direction in K, B, M at 0.999 of its edge. Ten of them are on one device with
 a narrow mode. Hands are the networks of masses, springs and dampers of support.passive_hands, with
 chains and meshes of up to five masses. A violation is a growing loop: a spectral radius above 1 by
-more than rounding. Prints a line of JSON; the exit code is 1 for a violation.
+more than rounding. Prints a line of JSON for each device, on stderr, and one for all; the exit code
+is 1 for a violation.
 """
 
 import argparse
 import json
+import sys
 import time
 
 import numpy as np
@@ -41,21 +43,27 @@ def edges(seed, count, share):
 
 
 def played(environments, count, seed, share):
-    """Pairs, violations and the largest radius."""
+    """Environments, pairs, violations with radius and threshold, and the largest radii."""
     hands = random_hands(count, seed)
-    tried = pairs = violations = 0
-    largest = 0.0
-    while tried < environments:
-        model, points = edges(1000 * seed + tried // EACH, min(EACH, environments - tried), share)
-        tried += EACH
-        for hand in hands if len(points) else ():
+    sums = {"environments": 0, "pairs": 0, "largest_radius": 0.0, "largest_threshold": 0.0}
+    violations = []
+    for device in range(-(-environments // EACH)):
+        left = environments - device * EACH
+        model, points = edges(1000 * seed + device, min(EACH, left), share)
+        sums["environments"] += len(points)
+        for place, hand in enumerate(hands if len(points) else ()):
             tick = tick_of(held_by(model, hand))
             found = radii(tick, points)
-            pairs += found.size
             grows = max(GROWS, 1.0 + ROUNDING * np.abs(tick.base).max())
-            violations += int((found > grows).sum())
-            largest = max(largest, float(found.max()))
-    return {"pairs": pairs, "violations": violations, "largest_radius": largest}
+            sums["pairs"] += found.size
+            sums["largest_radius"] = max(sums["largest_radius"], float(found.max()))
+            sums["largest_threshold"] = max(sums["largest_threshold"], float(grows))
+            violations += [
+                {"device": device, "hand": place, "point": points[at].tolist(), "radius": found[at]}
+                for at in np.flatnonzero(found > grows)
+            ]
+        print(json.dumps({**sums, "violations": len(violations)}), file=sys.stderr, flush=True)
+    return {**sums, "violations": violations}
 
 
 def main():
@@ -69,7 +77,7 @@ def main():
     found = played(asked.environments, asked.hands, asked.seed, asked.share)
     spent_s = time.process_time() - begin_s
     print(json.dumps({**found, "pairs_per_s": round(found["pairs"] / spent_s)}))
-    return int(found["violations"] > 0)
+    return int(bool(found["violations"]))
 
 
 if __name__ == "__main__":

@@ -160,6 +160,7 @@ class Pending(NamedTuple):
     seq: int
     deadline_ns: int
     change: PendingChange | None = None  # of a command that the guard handled
+    request: Request | None = None  # of any other command, except stop
     answer: Answer | None = None
 
 
@@ -193,16 +194,15 @@ class Outstanding:
             and (one.change is None or one.change.enables or not one.change.replied)
         ]
 
-    def of_other_terms(self, number: int) -> list[Pending]:
-        """Return the changes that the servo has not yet answered and that were judged by other
-        terms than `number`, or by none; nothing if no policy must be enforced.
+    def outdated(self, number: int, leases: Leases) -> list[Pending]:
+        """Return the requests that the servo has not yet answered and that their client may no
+        longer make; if a policy must be enforced, also the changes that were judged by other terms
+        than `number`, or by none.
         """
         return [
             one
             for one in self._pending.values()
-            if one.answer is None
-            and one.change is not None
-            and number not in (one.change.terms, ANY_TERMS)
+            if one.answer is None and _outdated(one, number, leases)
         ]
 
     def post(
@@ -212,6 +212,7 @@ class Outstanding:
         what: Posting,
         now_ns: int,
         change: PendingChange | None = None,
+        request: Request | None = None,
     ) -> None:
         """Put a command into the servo's ring and keep it until it is answered.
 
@@ -227,7 +228,7 @@ class Outstanding:
                 f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
             )
         self._pending[self._view.life, seq] = Pending(
-            message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change
+            message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change, request
         )
 
     def take(self, answer: Answer, life: int) -> Pending | None:
@@ -265,6 +266,13 @@ class Outstanding:
             for key in [key for key in known if key[0] != life]:
                 del known[key]
         return lost
+
+
+def _outdated(one: Pending, number: int, leases: Leases) -> bool:
+    if one.change is None:
+        return forbidden(one.request, one.actor, leases) is not None
+    judged = number in (one.change.terms, ANY_TERMS)
+    return not judged or forbidden_by(leases, one.change) is not None
 
 
 def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:

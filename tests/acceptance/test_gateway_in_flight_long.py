@@ -1,0 +1,33 @@
+"""What is under way when a gateway is replaced: the command server, with the guard's judge, in
+front of the servo itself, on virtual time.
+"""
+
+from collections.abc import Iterator
+
+import pytest
+from support.guard_stages import Flight
+from test_gateway_in_flight import at_a_wall
+
+
+@pytest.fixture
+def flight() -> Iterator[Flight]:
+    flight = Flight()
+    yield flight
+    flight.stack.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "ramp_s"), [({"virtual_damping_ns_per_m": 0.0}, 2.4), ({"side": 0}, 3.0)]
+)
+def test_a_new_gateway_takes_no_damping_from_a_wall_on_its_way_out(
+    flight: Flight, change: dict[str, float], ramp_s: float
+) -> None:
+    """In the second half of the ramp of its side records round it to 0."""
+    at_a_wall(flight, ramp_s, **change)
+    flight.stack.run(round(500 * ramp_s))
+    flight.another_gateway()
+    flight.fly(650)
+    refused = flight.ask(cmd="damping", value="off")
+    assert "ramps from before this gateway" in refused["error"]["message"]
+    flight.fly(500)
+    assert flight.ask(cmd="damping", value="off")["ok"]
