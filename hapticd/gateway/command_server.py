@@ -153,6 +153,7 @@ class CommandServer:
             replies += [reply] if reply is not None else []
             if not in_time():
                 break
+        self._withdraw_outdated()
         return replies
 
     def _overtaken(self) -> list[Reply]:
@@ -250,9 +251,7 @@ class CommandServer:
             if request.action == "fail":
                 self._guarded.give_up(actor)
                 self._take_back(actor)
-            result = self._leasing.answer(request, actor)
-            self._withdraw_outdated()
-            return result
+            return self._leasing.answer(request, actor)
         if isinstance(request, GuardRequest):
             self._guard.change(request)
             return None if request.mode else self.guard_summary()

@@ -21,7 +21,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.layout import ANY_TERMS, Command, Result, State
+from hapticd.mailbox.layout import ANY_TERMS, RING_SLOTS, Command, Result, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting, forbidden
 from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode
@@ -147,6 +147,7 @@ def _stage(plain: Any) -> Stage:
 # --- posted commands ------------------------------------------------------------------------------
 
 ANSWER_TIMEOUT_NS = NS_PER_S
+CLIENT_SLOTS = RING_SLOTS - 8  # of the servo's ring; the others are for the gateway itself
 MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their second answer
 
 
@@ -216,17 +217,17 @@ class Outstanding:
     ) -> None:
         """Put a command into the servo's ring and keep it until it is answered.
 
-        CommandError: no servo is running, or its ring is full.
+        CommandError: no servo is running, or its ring has no room for a client: terms of the
+        guard, ends of leases and faults must not wait for clients.
         """
         self._view.require_servo(message.cmd)
         kind, apply_tick, values = what
         mailbox = self._view.mailbox
-        seq = mailbox.post(kind, actor, apply_tick, values) if mailbox else None
+        room = mailbox and (mailbox.backlog < CLIENT_SLOTS or kind is Command.STOP)
+        seq = mailbox.post(kind, actor, apply_tick, values) if mailbox and room else None
         if mailbox is None or seq is None:
-            raise CommandError(
-                "busy",
-                f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
-            )
+            text = f"{CLIENT_SLOTS} commands wait for the servo already; slow down and ask again"
+            raise CommandError("busy", f"{message.cmd}: {text}")
         self._pending[self._view.life, seq] = Pending(
             message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change, request
         )

@@ -5,8 +5,11 @@ front of the servo itself, on virtual time.
 from collections.abc import Iterator
 
 import pytest
-from support.guard_stages import Flight
+from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from test_gateway_in_flight import at_a_wall
+
+from hapticd.core.params import InjectionParams
+from hapticd.mailbox.layout import State
 
 
 @pytest.fixture
@@ -31,3 +34,16 @@ def test_a_new_gateway_takes_no_damping_from_a_wall_on_its_way_out(
     assert "ramps from before this gateway" in refused["error"]["message"]
     flight.fly(500)
     assert flight.ask(cmd="damping", value="off")["ok"]
+
+
+@pytest.mark.parametrize(("kind", "away_s"), [("restart", 0.0), ("unplug", 0.02)])
+def test_an_enable_in_stages_ends_with_the_board_that_it_was_asked_for(
+    kind: str, away_s: float
+) -> None:
+    flight = Flight(InjectionParams(kind, tick=660, value=away_s))
+    with flight.stack:
+        assert flight.ask(cmd="guard", policy="refuse")["ok"]
+        assert flight.ask(cmd="set", **STIFF, active_damping=LEVEL_NS_PER_M)["ok"]
+        assert flight.ask(cmd="enable")["receipt"]["result"] == "staged"
+        assert flight.view.tick < 650
+        assert not (flight.fly(1000)["state"] == State.ENABLED).any()

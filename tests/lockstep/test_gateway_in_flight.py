@@ -6,8 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from support.guard_stages import LEVEL_NS_PER_M, Flight
+from support.gateway_rig import packed
+from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from test_gateway_overtaken import enabled, send, until_posted
+
+from hapticd.protocol.view import as_records
 
 # in the wall it needs more than the damping of the device
 WALL = {
@@ -97,3 +100,29 @@ def test_nor_does_one_of_the_same_tick(flight: Flight) -> None:
     send(flight, {"cmd": "set", "wall": {"virtual_damping_ns_per_m": 0.0}, "ramp_s": 5.0})
     flight.fly(5)
     assert flight.guard.in_force.now().wall.virtual_damping_ns_per_m == 4.0
+
+
+# --- a client that floods the ring ----------------------------------------------------------------
+
+
+def flooded(flight: Flight, ticks: int, *requests: dict[str, Any]) -> Any:
+    """Records of passes of five ticks, in each of which client c sends what is always accepted."""
+    records = []
+    for _ in range(ticks // 5):
+        records.append(flight.stack.run(5))
+        now_ns = flight.stack.clock.now_ns()
+        flight.view.refresh(now_ns)
+        flood = [[b"c", packed(cmd="perturb", action="stop")] for _ in range(90)]
+        flight.server.serve([*([b"b", packed(**one)] for one in requests), *flood], now_ns)
+        flight.server.collect(now_ns)
+        requests = ()
+    return as_records(b"".join(records))
+
+
+def test_a_flood_does_not_keep_the_terms_of_the_guard_from_the_servo(flight: Flight) -> None:
+    enabled(flight, "warn")
+    at = flight.view.tick + 200
+    assert flight.ask(cmd="set", **STIFF, at_tick=at, ramp_s=0.0)["ok"]
+    flooded(flight, 50)
+    records = flooded(flight, 200, {"cmd": "guard", "policy": "refuse"})
+    assert not records["stiffness_n_per_m"].any()
