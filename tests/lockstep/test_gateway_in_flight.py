@@ -102,6 +102,17 @@ def test_nor_does_one_of_the_same_tick(flight: Flight) -> None:
     assert flight.guard.in_force.now().wall.virtual_damping_ns_per_m == 4.0
 
 
+def test_damping_does_not_go_while_force_rises_and_what_needs_it_goes(flight: Flight) -> None:
+    assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    assert flight.ask(cmd="damping", value=LEVEL_NS_PER_M)["ok"]
+    flight.fly(120)
+    assert flight.ask(cmd="set", K=300.0, B=0.74)["ok"]
+    assert flight.ask(cmd="enable")["ok"]
+    flight.fly(200)
+    assert flight.ask(cmd="set", B=0.0, ramp_s=4.0)["ok"]
+    assert flight.ask(cmd="damping", value="off")["receipt"]["result"] == "staged"
+
+
 # --- a client that floods the ring ----------------------------------------------------------------
 
 
