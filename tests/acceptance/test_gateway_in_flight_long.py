@@ -1,15 +1,19 @@
-"""What is under way when a gateway is replaced: the command server, with the guard's judge, in
-front of the servo itself, on virtual time.
+"""What is under way when a gateway is replaced, a board restarts or the ring is full: the command
+server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
+from support.gateway_rig import packed
 from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from test_gateway_in_flight import at_a_wall
+from test_gateway_overtaken import enabled
 
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import State
+from hapticd.protocol.view import as_records
 
 
 @pytest.fixture
@@ -47,3 +51,29 @@ def test_an_enable_in_stages_ends_with_the_board_that_it_was_asked_for(
         assert flight.ask(cmd="enable")["receipt"]["result"] == "staged"
         assert flight.view.tick < 650
         assert not (flight.fly(1000)["state"] == State.ENABLED).any()
+
+
+# --- a client that floods the ring ----------------------------------------------------------------
+
+
+def flooded(flight: Flight, ticks: int, *requests: dict[str, Any]) -> Any:
+    """Records of passes of 20 ticks, in each of which client c sends what is always accepted."""
+    records = []
+    flood = [[b"c", packed(cmd="perturb", action="stop")]] * 70
+    for _ in range(ticks // 20):
+        records.append(flight.stack.run(20))
+        now_ns = flight.stack.clock.now_ns()
+        flight.view.refresh(now_ns)
+        flight.server.serve([*([b"b", packed(**one)] for one in requests), *flood], now_ns)
+        flight.server.collect(now_ns)
+        requests = ()
+    return as_records(b"".join(records))
+
+
+def test_a_flood_does_not_keep_the_terms_of_the_guard_from_the_servo(flight: Flight) -> None:
+    enabled(flight, "warn")
+    at = flight.view.tick + 200
+    assert flight.ask(cmd="set", **STIFF, at_tick=at, ramp_s=0.0)["ok"]
+    flooded(flight, 40)
+    records = flooded(flight, 200, {"cmd": "guard", "policy": "refuse"})
+    assert not records["stiffness_n_per_m"].any()

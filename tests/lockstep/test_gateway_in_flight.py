@@ -1,16 +1,13 @@
-"""What is under way when its lease or its gateway ends, or when the ring is full: the command
-server, with the guard's judge, in front of the servo itself, on virtual time.
+"""What is under way when another takes the lease, and ramps that are under way as more is asked: the
+command server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from support.gateway_rig import packed
-from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
+from support.guard_stages import LEVEL_NS_PER_M, Flight
 from test_gateway_overtaken import enabled, send, until_posted
-
-from hapticd.protocol.view import as_records
 
 # in the wall it needs more than the damping of the device
 WALL = {
@@ -111,29 +108,3 @@ def test_damping_does_not_go_while_force_rises_and_what_needs_it_goes(flight: Fl
     flight.fly(200)
     assert flight.ask(cmd="set", B=0.0, ramp_s=4.0)["ok"]
     assert flight.ask(cmd="damping", value="off")["receipt"]["result"] == "staged"
-
-
-# --- a client that floods the ring ----------------------------------------------------------------
-
-
-def flooded(flight: Flight, ticks: int, *requests: dict[str, Any]) -> Any:
-    """Records of passes of five ticks, in each of which client c sends what is always accepted."""
-    records = []
-    for _ in range(ticks // 5):
-        records.append(flight.stack.run(5))
-        now_ns = flight.stack.clock.now_ns()
-        flight.view.refresh(now_ns)
-        flood = [[b"c", packed(cmd="perturb", action="stop")] for _ in range(90)]
-        flight.server.serve([*([b"b", packed(**one)] for one in requests), *flood], now_ns)
-        flight.server.collect(now_ns)
-        requests = ()
-    return as_records(b"".join(records))
-
-
-def test_a_flood_does_not_keep_the_terms_of_the_guard_from_the_servo(flight: Flight) -> None:
-    enabled(flight, "warn")
-    at = flight.view.tick + 200
-    assert flight.ask(cmd="set", **STIFF, at_tick=at, ramp_s=0.0)["ok"]
-    flooded(flight, 50)
-    records = flooded(flight, 200, {"cmd": "guard", "policy": "refuse"})
-    assert not records["stiffness_n_per_m"].any()
