@@ -1,4 +1,4 @@
-"""What is under way when another takes the lease, and ramps that are under way as more is asked: the
+"""What is under way as another takes the lease, and ramps that go on while more is asked: the
 command server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
