@@ -3,11 +3,13 @@ for the gateway.
 
     guard_path_ratio     yes or no to 20 points at a kept level: eigenvalues and circles
     guard_margin_ratio   margin, worst frequency and radius of a new display
+    guard_proof_ratio    a whole verdict, over one that tests circles at several hundred angles and
+                         proves nothing between them; both without a socket
     guard_verdict_ms     a change sent to the worker process over its socket, with margin, allowed
                          ranges and minimum level
 
-The yardstick is an empty ZeroMQ echo between two processes, with the average length of request and
-answer. All in turns; every display is new.
+The yardstick of the others is an empty ZeroMQ echo between two processes, with the average length
+of request and answer. All in turns; every display is new.
 """
 
 import os
@@ -78,6 +80,9 @@ def measure() -> Iterator[Figure]:
     for figure, key in FIGURES.items():
         value = median_quantile(blocks[key], 0.5)
         yield compared(figure, TARGETS[figure], value, "ms", echo_ms)
+    proven_ms, angles_ms = (median_quantile(blocks[key], 0.5) for key in ("proven", "angles"))
+    name = "guard_proof_ratio"
+    yield compared(name, TARGETS[name], proven_ms, "ms", angles_ms)
 
 
 def _blocks(
@@ -96,7 +101,12 @@ def _blocks(
         _verdict(line, change)
         verdict_ns = time.monotonic_ns() - begin_ns
         return {
-            **worker.ask(start=FREE, end=FREE | point()),
+            **worker.ask(
+                start=FREE,
+                end=FREE | point(),
+                change=REQUEST | {"change": point()},
+                other=REQUEST | {"change": point()},
+            ),
             "verdict": verdict_ns / NS_PER_MS,
             "echo": echo_ns(echo, message) / NS_PER_MS,
         }

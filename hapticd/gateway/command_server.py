@@ -156,6 +156,7 @@ class CommandServer:
             replies += [reply] if reply is not None else []
             if not in_time():
                 break
+        self._withdraw_outdated()
         return replies
 
     def _overtaken(self) -> list[Reply]:
@@ -189,8 +190,7 @@ class CommandServer:
         self._leasing.tend(now_ns)
         replies += self._due(now_ns)
         self._guard.tend(now_ns)
-        for one in self._outstanding.of_other_terms(self._guard.terms_number):
-            self._withdrawn(one)
+        self._withdraw_outdated()
         answered = self._guarded.advance(now_ns, not len(self._outstanding))
         replies += [self._tell(one) for one in answered]
         return [one for one in replies if one is not None]
@@ -233,7 +233,8 @@ class CommandServer:
                 return None
             if request.cmd in OVERTAKING:
                 self._guarded.take_back_enables(request.cmd)
-            self._outstanding.post(message, actor, posting(request, situation.samples), now_ns)
+            what = posting(request, situation.samples)
+            self._outstanding.post(message, actor, what, now_ns, request=request)
             return None
         except (CommandError, MailboxError) as error:
             return self._refused(message, error)
@@ -410,6 +411,13 @@ class CommandServer:
         """Withdraw the posted commands of the client `actor` that have not begun."""
         for one in self._outstanding.asked_by(actor):
             self._taken_back(one, self._view.state in (State.ENABLED, State.HOMING))
+
+    def _withdraw_outdated(self) -> None:
+        """Withdraw the commands that were judged by other terms, or whose parts another client has
+        leased since.
+        """
+        for one in self._outstanding.outdated(self._guard.terms_number, self.leases):
+            self._withdrawn(one)
 
     def _withdrawn(self, one: Pending) -> bool:
         """Withdraw `one` from the ring, unless it ends force; return whether that succeeded."""

@@ -22,7 +22,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.layout import ANY_TERMS, Command, Result, State
+from hapticd.mailbox.layout import ANY_TERMS, RING_SLOTS, Command, Result, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting, forbidden
 from hapticd.protocol.journal import (
@@ -189,6 +189,7 @@ def _stage(plain: Any) -> Stage:
 # --- posted commands ------------------------------------------------------------------------------
 
 ANSWER_TIMEOUT_NS = NS_PER_S
+CLIENT_SLOTS = RING_SLOTS - 8  # of the servo's ring; the others are for the gateway itself
 MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their second answer
 
 
@@ -202,6 +203,7 @@ class Pending(NamedTuple):
     seq: int
     deadline_ns: int
     change: PendingChange | None = None  # of a command that the guard handled
+    request: Request | None = None  # of any other command, except stop
     answer: Answer | None = None
 
 
@@ -235,16 +237,15 @@ class Outstanding:
             and (one.change is None or one.change.enables or not one.change.replied)
         ]
 
-    def of_other_terms(self, number: int) -> list[Pending]:
-        """Return the changes that the servo has not yet answered and that were judged by other
-        terms than `number`, or by none; nothing if no policy must be enforced.
+    def outdated(self, number: int, leases: Leases) -> list[Pending]:
+        """Return the requests that the servo has not yet answered and that their client may no
+        longer make; if a policy must be enforced, also the changes that were judged by other terms
+        than `number`, or by none.
         """
         return [
             one
             for one in self._pending.values()
-            if one.answer is None
-            and one.change is not None
-            and number not in (one.change.terms, ANY_TERMS)
+            if one.answer is None and _outdated(one, number, leases)
         ]
 
     def post(
@@ -254,22 +255,23 @@ class Outstanding:
         what: Posting,
         now_ns: int,
         change: PendingChange | None = None,
+        request: Request | None = None,
     ) -> None:
         """Put a command into the servo's ring and keep it until it is answered.
 
-        CommandError: no servo is running, or its ring is full.
+        CommandError: no servo is running, or its ring has no room for a client: terms of the
+        guard, ends of leases and faults must not wait for clients.
         """
         self._view.require_servo(message.cmd)
         kind, apply_tick, values = what
         mailbox = self._view.mailbox
-        seq = mailbox.post(kind, actor, apply_tick, values) if mailbox else None
+        room = mailbox and (mailbox.backlog < CLIENT_SLOTS or kind is Command.STOP)
+        seq = mailbox.post(kind, actor, apply_tick, values) if mailbox and room else None
         if mailbox is None or seq is None:
-            raise CommandError(
-                "busy",
-                f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
-            )
+            text = f"{CLIENT_SLOTS} commands wait for the servo already; slow down and ask again"
+            raise CommandError("busy", f"{message.cmd}: {text}")
         self._pending[self._view.life, seq] = Pending(
-            message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change
+            message, actor, kind, mailbox, seq, now_ns + ANSWER_TIMEOUT_NS, change, request
         )
 
     def take(self, answer: Answer, life: int) -> Pending | None:
@@ -307,6 +309,13 @@ class Outstanding:
             for key in [key for key in known if key[0] != life]:
                 del known[key]
         return lost
+
+
+def _outdated(one: Pending, number: int, leases: Leases) -> bool:
+    if one.change is None:
+        return forbidden(one.request, one.actor, leases) is not None
+    judged = number in (one.change.terms, ANY_TERMS)
+    return not judged or forbidden_by(leases, one.change) is not None
 
 
 def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:

@@ -77,11 +77,14 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
     """Return the requested change: its start, the changes before and after it, and its level."""
     setup = verdicts.setup
     state = request["state"]
-    # during the ramp of an enable only a part of the environment acts
+    # during the ramp of an enable only a part of the environment acts; of one that moves meanwhile,
+    # any part of it may, up to the whole
     gain = float(request.get("gain", 1.0)) if state == "enabled" else 1.0
     reported = from_message(request["now"], setup.environment)
-    now = reported.scaled(gain)
     target = from_message(request["target"], setup.environment)
+    level = target.active_damping_ns_per_m
+    still = replace(reported, active_damping_ns_per_m=level) == target
+    now = reported.scaled(gain) if still else reported
     passed = [reported]
     for one in request["before"]:
         passed.append(target)

@@ -63,6 +63,7 @@ CHOICE_NS = 5 * NS_PER_S  # between choices of the level in mode auto while noth
 LEAST_CHOICE_NS = NS_PER_S
 SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # maximum wait of a request for a known delay
 UNSETTLED = "the delay of the loop is not measured yet; ask again"
+NOT_KNOWN = "the environment in force is not known, or ramps from before this gateway; ask again"
 SERVO_GONE = "the servo ended before the change was in force; after its restart it is disabled"
 
 
@@ -185,9 +186,10 @@ class GuardedQueue:
         )
 
     def heard(self, answer: Answer) -> None:
-        """Forget the scheduled change of a last answer, with its end if the change was
-        not applied.
+        """Take an answer: of a last one, forget the scheduled change, with its end if the change
+        was not applied.
         """
+        self._guard.in_force.hear(answer)
         if answer.result is not Result.SCHEDULED:
             self._scheduled.close(answer.seq, answer.result is Result.APPLIED)
 
@@ -340,6 +342,8 @@ class GuardedQueue:
         return change.enables or (bool(change.at_tick) and under_way.enables)
 
     def _late(self) -> str:
+        if not self._guard.in_force.known:
+            return NOT_KNOWN
         late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s:"
         late += " the computer is busy; ask again"
         return late if self._guard.worker == "up" else ""

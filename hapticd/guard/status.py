@@ -306,6 +306,7 @@ class Guard:
         about hands.
         """
         self._tended_ns = now_ns
+        self.in_force.tend()
         self.terms = self._keeper.follow(self.terms, now_ns)
         if self._worker is None:
             return

@@ -19,7 +19,8 @@ Environment in force (`EnvironmentInForce`). It is determined from the newest re
 answer of the servo. `target` is the end of the ramps in progress, `now` the environment that acts
 in the newest record. Records do not contain the wall's damping during a ramp, nor its side once it
 is rounded to 0. For these the value counts that may still act and is furthest from the target.
-Limitations: record and answers may belong to different revisions for a moment (see `known`).
+Limitations: record and answers may belong to different revisions for a moment, and ramps that began
+before this gateway may move a wall from an unknown value (see `known`).
 """
 
 import json
@@ -34,6 +35,7 @@ from hapticd.core.environment import FIELDS, Environment
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import STRICT_POLICIES, BasisName, Policy
 from hapticd.core.units import NS_PER_S, US_PER_S
+from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
 from hapticd.mailbox.layout import Flag, Value, newer
 from hapticd.protocol.commands import rendered
@@ -226,26 +228,6 @@ COLUMNS = {
 }
 
 
-class WallDamping:
-    """The damping of the wall, which no record contains: the start of its ramp, until the ramp
-    ends.
-    """
-
-    def __init__(self) -> None:
-        self._life = 0
-        self._begun = self._end = 0.0
-
-    def follow(self, life: int, target: float, moving: bool) -> float:
-        """Return the value that may still act and is furthest from `target`."""
-        if life != self._life or (target == self._end and not moving):
-            self._life = life
-            self._begun = self._end = target
-        if target != self._end:
-            self._begun = self._end
-            self._end = target
-        return self._begun
-
-
 class WallSide:
     """The side of a wall that may still act: it ramps to 0, and records round it."""
 
@@ -267,8 +249,9 @@ class EnvironmentInForce:
 
     def __init__(self, view: ServoView) -> None:
         self._view = view
-        self._wall_damping = WallDamping()
+        self._wall_damping = {0.0}  # extreme ends of its ramps since nothing moved
         self._side = WallSide()
+        self._settled_life = 0  # newest servo life of which a record without motion was seen
 
     def begin(self) -> None:
         """Start a new servo life."""
@@ -278,11 +261,32 @@ class EnvironmentInForce:
         """Take telemetry `records`, each once and in order."""
         self._side.follow(records)
 
+    def tend(self) -> None:
+        """Follow the newest record. Call it in every pass."""
+        if self._agrees and not self._moving:
+            self._settled_life = self._view.life
+            self._wall_damping = {self.target().wall.virtual_damping_ns_per_m}
+
+    def hear(self, answer: Answer) -> None:
+        """Take an answer of the servo, each once and in order."""
+        ends = {*self._wall_damping, answer.effective[Value.WALL_VIRTUAL_DAMPING]}
+        self._wall_damping = {min(ends), max(ends)}
+
     @property
     def known(self) -> bool:
-        """Whether record and answers belong to the same environment."""
+        """Whether record and answers belong to the same environment, and no ramp is in progress
+        that began before this gateway: no record contains the whole of a wall during it.
+        """
+        return self._agrees and self._settled_life == self._view.life
+
+    @property
+    def _agrees(self) -> bool:
         same = self._answered_revision == self.revision
         return self._view.alive and not self._view.unsure and same
+
+    @property
+    def _moving(self) -> bool:
+        return bool(int(self._view.record.get("flags", 0)) & IN_MOTION)
 
     @property
     def ahead_of_answers(self) -> bool:
@@ -313,16 +317,15 @@ class EnvironmentInForce:
         """Return the environment that acts in the newest record."""
         record = self._view.record
         target = self.target()
-        moving = bool(int(record["flags"]) & IN_MOTION)
-        wall_damping = self._wall_damping.follow(
-            self._view.life, target.wall.virtual_damping_ns_per_m, moving
-        )
+        wall_damping = target.wall.virtual_damping_ns_per_m
         effect = record["active_damping_effect_ns_per_m"]
         return target.with_values(
             {path: record[column] for path, column in COLUMNS.items()}
             | {
-                "wall.virtual_damping_ns_per_m": wall_damping,
-                "wall.side": record["wall_side"] or (self._side.value if moving else 0),
+                "wall.virtual_damping_ns_per_m": max(
+                    self._wall_damping, key=lambda end: abs(end - wall_damping)
+                ),
+                "wall.side": record["wall_side"] or (self._side.value if self._moving else 0),
                 # NaN: the board did not report it
                 "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,
             }

@@ -257,8 +257,8 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
             "the guard's policy, basis or margin has changed since this was judged; ask again"
         ),
         Result.CANCELLED: (
-            "a stop, a fault, other terms of the guard or the end of its client came first; after a"
-            " stop or fault `hapticd reset`, then ask again"
+            "a stop, a fault, other terms of the guard, another's lease or the end of its client"
+            " came first; after a stop or fault `hapticd reset`, then ask again"
         ),
     }
     if answer.result is Result.REFUSED_OWNER:

@@ -30,7 +30,7 @@ from typing import Final
 
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
-from hapticd.mailbox.layout import Flag
+from hapticd.mailbox.layout import Flag, following
 from hapticd.render.law import FORCE, LIMIT, MASS, LawState, Ledger, book, clamp, render
 from hapticd.servo.plan import Plan, Sample, ServoState, TickConstants, without_origin
 from hapticd.servo.safety import bounds
@@ -184,9 +184,11 @@ class Samples:
     def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
         """Return `plan` with its origin, or without it if the sample shows that it is lost."""
         _, status, _, arrival, _, _, _, _, _ = sample
-        # the board has restarted: its counter started again, at an unknown position
+        # the board has restarted: its counter started again, at an unknown position; what was asked
+        # before is over
         if arrival == SEED:
-            plan = without_origin(plan)._replace(origin=self._first_origin)
+            revision = plan.revision and following(plan.revision)
+            plan = without_origin(plan)._replace(origin=self._first_origin, revision=revision)
         if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
             plan = without_origin(plan)
         return plan

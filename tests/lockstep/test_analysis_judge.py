@@ -231,6 +231,15 @@ def test_a_gain_that_still_rises_spans_a_patch_with_the_change() -> None:
     assert part["verdict"]["path_points"] == 16  # four by four
 
 
+def test_what_moves_while_the_gain_rises_may_act_in_full() -> None:
+    """The gain is there long before B has gone."""
+    now = {"K": 60.0, "B": 0.9, "active_damping": LEVEL}
+    target = now | {"B": 0.0}
+    asked = {"now": now, "target": target, "gain": 0.4}
+    (stage,) = change(shipped_judge(), {"active_damping": 0.0}, **asked)["stages"]
+    assert stage["after_ramps"]
+
+
 def test_scheduled_changes_before_and_after_are_judged() -> None:
     judge = shipped_judge()
     before = change(judge, {"B": 0.9}, before=[{"K": 60.0}])

@@ -129,6 +129,67 @@ def test_device_file_says_how_near_its_limits_are() -> None:
     assert worst <= float(stated) < worst + 0.1
 
 
+def rows_after(mark: str) -> list[list[str]]:
+    """Cells of the first table of the page after `mark`, without its head."""
+    _, _, text = (DOCS / "reproduction.md").read_text().partition(mark)
+    (table,) = re.findall(r"((?:^\|.*\n)+)", text, re.MULTILINE)[:1]
+    plain = re.sub(r"<!--.*?-->", "", table)
+    lines = [line.strip("|\n").split("|") for line in plain.splitlines(keepends=True)]
+    return [[cell.strip() for cell in line] for line in lines[2:]]
+
+
+def numbers(text: str) -> list[float]:
+    return [float(one) for one in re.findall(r"-?[\d.]+", text.replace("±", ""))]
+
+
+PRINTED = {"K": (100.0, 600.0), "B": (3.0, 8.0), "M": (8.0, 22.0)}  # off, on; N/m, N s/m, -g
+UNIT = {"K": 100.0, "B": 1.0, "M": 1.0}  # the last digit
+
+
+def test_page_says_how_coarse_the_six_numbers_of_the_paper_are() -> None:
+    """Half a unit of the last digit to each side, or one unit outwards, and the ratios of those."""
+    found = {name: cells for name, *cells in rows_after("*Last\nthat passed* is")}
+    for axis, printed in PRINTED.items():
+        half = UNIT[axis] / 2.0
+        for state, value in zip(("off", "on"), printed, strict=True):
+            (cells,) = (row for name, row in found.items() if name.startswith(f"{axis} {state},"))
+            paper, rounded, passed = ([abs(one) for one in numbers(cell)] for cell in cells[:3])
+            assert paper == [value]
+            assert rounded == [value - half, value + half, round(100.0 * half / value)]
+            assert passed == [value, value + UNIT[axis]]
+        off, on = printed
+        ratios = found[f"ratio of {axis}"]
+        assert numbers(ratios[0]) == pytest.approx([on / off], rel=0.02)
+        least, most = (on - half) / (off + half), (on + half) / (off - half)
+        assert numbers(ratios[1]) == pytest.approx([least, most], rel=0.025)
+        least, most = on / (off + UNIT[axis]), (on + UNIT[axis]) / off
+        assert numbers(ratios[2]) == pytest.approx([least, most], rel=0.025)
+
+
+def test_page_says_which_limits_lie_inside_the_rounding() -> None:
+    """Those of K and B; both of M lie outside, one by about the scatter between seeds."""
+    limits = {one.quantity: one for one in committed() if one.device == "weir2008" and one.part}
+    for axis, printed in PRINTED.items():
+        for state, value in zip(("off", "on"), printed, strict=True):
+            row = limits[f"{axis}_{'min' if axis == 'M' else 'max'}_{state}"]
+            grams = 1000.0 if axis == "M" else 1.0
+            beyond = abs(abs(row.ours) * grams - value) - UNIT[axis] / 2.0
+            assert (beyond > 0.0) == (axis == "M")
+            assert state == "on" or beyond < 2.0 * row.sd * grams
+    least, most = 21.5 / 8.5, 22.5 / 7.5
+    assert not least < limits["M_ratio"].ours < most
+
+
+def test_page_says_how_far_trials_at_no_stiffness_wander() -> None:
+    """Most that nothing holds leave the 20 mm to each side; no other does."""
+    for damping, stiffness, virtual_damping, _, _, reached, beyond in rows_after("<!-- travel -->"):
+        far = float(reached.split("-")[1])
+        count = int(beyond.split()[0])
+        held = float(damping) or float(stiffness) or float(virtual_damping)
+        assert (count > 8) == (far > 20.0) == (not held)
+        assert held or far < 71.0
+
+
 def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:
     row = PaperRow(
         "K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", sd=5.5, seeds=8, part="limits"

@@ -3,10 +3,11 @@ change in stages the board reports the damping that the environment in force nee
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hapticd.core.params import GuardParams, GuardSetup, from_plain
+from hapticd.core.params import GuardParams, GuardSetup, InjectionParams, from_plain
 from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
@@ -27,14 +28,14 @@ STIFF = {"K": 500.0, "B": 2.0}  # passive with that damping, not without
 class Flight:
     """A servo, its simulated board, and the gateway's command server with a judge behind it."""
 
-    def __init__(self) -> None:
+    def __init__(self, *injections: InjectionParams) -> None:
         settings = load(None)
         setup = resolve(settings, "flight")[files.GUARD_JSON]
         self.judge = Judge(from_plain(GuardSetup, json.loads(json.dumps(setup))))
         params = servo_params(settings, "flight")
         board = board_params(settings)
         assert board is not None
-        self.stack = LockStep(params, board)
+        self.stack = LockStep(params, replace(board, injections=injections))
         self.worker = StubWorker(self.judge.answer)
         self.params = params
         self.another_gateway()

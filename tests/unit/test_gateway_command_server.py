@@ -226,7 +226,9 @@ def test_stop_behind_others_presses_the_page(rig: CommandServerRig) -> None:
 
 def test_stop_with_a_full_ring_is_pressed(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
-    assert rig.send(*[packed(cmd="get" if k < 0 else "set", K=k) for k in range(64)]) == []
+    assert rig.view.mailbox is not None
+    while rig.view.mailbox.post(Command.PERTURB_STOP, 2, 0, layout.values_of({})):
+        pass
     (reply,) = rig.send(packed(cmd="stop"))
     assert (reply["ok"], reply["receipt"]["result"]) == (True, "pressed")
     rig.run()
@@ -243,10 +245,19 @@ def test_stop_is_idempotent(rig: CommandServerRig) -> None:
 
 def test_full_ring_is_busy(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
-    rig.send(*[packed(cmd="set", K=k) for k in range(64)])
+    rig.send(*[packed(cmd="set", K=k) for k in range(56)])
     (reply,) = rig.send(packed(cmd="set", K=1))
     assert reply["error"]["code"] == "busy"
-    assert "64 commands wait" in reply["error"]["message"]
+    assert "56 commands wait" in reply["error"]["message"]
+
+
+def test_full_ring_has_room_for_a_stop(rig: CommandServerRig) -> None:
+    rig.servo.deaf = True
+    rig.send(*[packed(cmd="set", K=k) for k in range(57)])
+    backlog = rig.view.mailbox.backlog if rig.view.mailbox else 0
+    assert rig.send(packed(cmd="stop")) == []
+    assert rig.view.mailbox
+    assert rig.view.mailbox.backlog == backlog + 1
 
 
 def test_unanswered_command_times_out(rig: CommandServerRig) -> None:

@@ -122,7 +122,7 @@ def measuring_lease(chosen: Chosen, random: Random) -> None:
 
 
 def policy_made_strict(chosen: Chosen, random: Random) -> None:
-    """The servo pauses while it has the change to answer."""
+    """The servo pauses while it has the change to answer, or has just answered it."""
     with Stand() as stand:
         stand.enabled()
         stand.done(cmd="guard", policy=chosen["before"])
@@ -131,6 +131,7 @@ def policy_made_strict(chosen: Chosen, random: Random) -> None:
         for _ in range(3):
             stand.look()
         assert stand.mailbox.backlog == 1, "the change was not posted"
+        stand.fly(random.randrange(2), every=2)
         stand.worker.silent = chosen["worker"] == SILENT
         if chosen["policy"] != NOTHING:
             stand.send({"cmd": "guard", "policy": chosen["policy"]}, client=b"b")
