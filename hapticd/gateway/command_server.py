@@ -297,7 +297,7 @@ class CommandServer:
                 raise CommandError("leased", "proxy: take the lease of `environment` first")
             if self._view.params.device.commissioning:
                 reason = "the signs of the device are not verified; `hapticd rig motor` first"
-                raise CommandError("refused", f"proxy: {reason}")
+                raise CommandError("refused_commissioning", f"proxy: {reason}")
             if mailbox.backlog >= TAKEN_PER_TICK:  # the newest position is soon followed by another
                 raise CommandError("busy", "proxy: the servo has not taken the positions before")
             kind, at_tick, values = posting(request, 0)

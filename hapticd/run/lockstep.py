@@ -273,7 +273,7 @@ class LockStepClient(Client):
         """Post the position of a proxy, if there is one; return handle and proxy."""
         if not request.reads:
             if self.newest["state"] != State.ENABLED:
-                raise CommandError("refused", "proxy: possible only in enabled; enable first")
+                raise CommandError("refused_state", "proxy: possible only in enabled; enable first")
             kind, _, values = posting(request, 0)
             self.stack.command(kind, {Value.PROXY: values[Value.PROXY]}, actor=ALONE)
         return coupling(self.newest, self._servo.realtime.rate_hz)

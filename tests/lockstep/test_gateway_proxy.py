@@ -71,7 +71,7 @@ def test_proxy_needs_the_lease_of_the_environment_and_force(guarded: GuardedStac
         return "" if reply["ok"] else str(reply["error"]["code"])
 
     assert code() == ""
-    assert code(position_m=0.0) == "refused"  # disabled
+    assert code(position_m=0.0) == "refused_state"  # disabled
     guarded.ask(cmd="enable")
     assert code(position_m=0.0) == "leased"
     guarded.ask(cmd="lease", what="environment")
