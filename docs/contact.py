@@ -3,8 +3,8 @@
 two cores. Ctrl-C is safe: the same command continues with the remaining rows.
 
 A variant (`Variant`) is a level of active damping everywhere, or one that follows a wall
-(`render.contact`). For each device and variant a row has, over B between 0 and the largest that the
-whole level permits:
+(`zwidth.engine.contact`). For each device and variant a row has, over B between 0 and the largest
+that the whole level permits:
 
     permitted   the first failure of K from 0 on by the guard's criterion, the theorem without dry
                 friction, along the whole way: every share of the wall at its level, and free motion
@@ -49,11 +49,11 @@ from hapticd.model.bases import Theorem  # noqa: E402
 from hapticd.model.coupled import at_port  # noqa: E402
 from hapticd.model.predict import predicted_impedance  # noqa: E402
 from hapticd.model.scene import Excitation, Scene  # noqa: E402
-from hapticd.render.contact import ContactDamping  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
 from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.studies.port_energy import LEAST, MOST, SECONDS, hand_of, pushed_n  # noqa: E402
 from hapticd.zwidth.engine.batch import simulate  # noqa: E402
+from hapticd.zwidth.engine.contact import ContactDamping  # noqa: E402
 from hapticd.zwidth.limits import REACH  # noqa: E402
 from hapticd.zwidth.report.style import WIDTH_IN, Colour, axes, styled  # noqa: E402
 from hapticd.zwidth.sources import SUBSTEPS, display  # noqa: E402
@@ -102,9 +102,9 @@ class Variant:
 VARIANTS = (
     Variant("none", on=False),
     Variant("everywhere"),
-    Variant("from 5 mm on, 20 N s/m/s", rule=ContactDamping(0.0, 0.005, 20.0)),
-    Variant("from the surface on, 2,000 N s/m/s", rule=ContactDamping(0.0, 0.0, 2000.0)),
-    Variant("from 1 mm on, 2,000 N s/m/s", rule=ContactDamping(0.0, 0.001, 2000.0)),
+    Variant("from 5 mm on, 20 N s/m/s", rule=ContactDamping(0.005, 20.0)),
+    Variant("from the surface on, 2,000 N s/m/s", rule=ContactDamping(0.0, 2000.0)),
+    Variant("from 1 mm on, 2,000 N s/m/s", rule=ContactDamping(0.001, 2000.0)),
 )
 
 
@@ -162,7 +162,7 @@ class Judged:
         the motion diverges in one.
         """
         model = display(self.scene).model
-        rule = self.rule and replace(self.rule, contact_ns_per_m=self.level_ns_per_m)
+        rule = self.rule and self.rule.at(self.level_ns_per_m)
         push = np.full(round(SECONDS * PROBE_RATE_HZ), pushed_n(self.scene))
         found = 0.0
         for sizes in np.random.default_rng(1).uniform(LEAST, MOST, (count, LEAST.size)):

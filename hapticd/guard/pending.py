@@ -238,9 +238,10 @@ class Outstanding:
         ]
 
     def outdated(self, number: int, leases: Leases) -> list[Pending]:
-        """Return the requests that the servo has not yet answered and that their client may no
-        longer make; if a policy must be enforced, also the changes that were judged by other terms
-        than `number`, or by none.
+        """Return the requests without an answer that their client may no longer make.
+
+        If a policy must be enforced, include changes that were judged by other terms than
+        `number`, or by none.
         """
         return [
             one

@@ -77,8 +77,8 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
     """Return the requested change: its start, the changes before and after it, and its level."""
     setup = verdicts.setup
     state = request["state"]
-    # during the ramp of an enable only a part of the environment acts; of one that moves meanwhile,
-    # any part of it may, up to the whole
+    # while an enable ramps up, a part of the environment acts; if the environment is changing too,
+    # count all of it
     gain = float(request.get("gain", 1.0)) if state == "enabled" else 1.0
     reported = from_message(request["now"], setup.environment)
     target = from_message(request["target"], setup.environment)

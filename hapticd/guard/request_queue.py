@@ -63,7 +63,10 @@ CHOICE_NS = 5 * NS_PER_S  # between choices of the level in mode auto while noth
 LEAST_CHOICE_NS = NS_PER_S
 SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # maximum wait of a request for a known delay
 UNSETTLED = "the delay of the loop is not measured yet; ask again"
-NOT_KNOWN = "the environment in force is not known, or ramps from before this gateway; ask again"
+NOT_KNOWN = (
+    "the environment in force is not known: ramps from before the start of this gateway may be in"
+    " progress; ask again"
+)
 SERVO_GONE = "the servo ended before the change was in force; after its restart it is disabled"
 
 

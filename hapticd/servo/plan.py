@@ -13,8 +13,7 @@ frozen object with named slots (TickConstants), which a calm tick passes on unto
 A checkpoint (`flatten`, `unflatten`) is the whole state as nested plain tuples, the start of a
 replay. Every number keeps its type and value, so a replay from a checkpoint gives the same bits as
 the run that left it. Plain tuples are cheap to marshal (about 10 us, only at the gateway's request,
-after the record was published) and survive JSON. The order of the places is that of the first
-checkpoints ever written, which stay readable.
+after the record was published) and survive JSON.
 
 Limitations: a field of Plan or ServoState that is added there and not in `flatten` (the tests
 replay and compare), a mutable value in a Plan.

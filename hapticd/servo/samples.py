@@ -184,10 +184,10 @@ class Samples:
     def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
         """Return `plan` with its origin, or without it if the sample shows that it is lost."""
         _, status, _, arrival, _, _, _, _, _ = sample
-        # the board has restarted: its counter started again, at an unknown position; what was asked
-        # before is over
+        # the board has restarted: its counter begins again at an unknown position, and requests
+        # from before no longer apply
         if arrival == SEED:
-            revision = plan.revision and following(plan.revision)
+            revision = following(plan.revision) if plan.revision else 0
             plan = without_origin(plan)._replace(origin=self._first_origin, revision=revision)
         if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
             plan = without_origin(plan)

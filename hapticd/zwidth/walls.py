@@ -11,7 +11,7 @@ refined between the two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
 
-With `contact` a level of active damping is that at the wall (`render.contact`), and not everywhere.
+With `contact` a level of active damping is that at the wall (`engine.contact`), and not everywhere.
 
 Limitations: a device whose stable walls are not in one piece as K is raised; walls beyond the first
 unstable one are not tried.
@@ -29,8 +29,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
-from hapticd.render.contact import ContactDamping
 from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.contact import ContactDamping
 from hapticd.zwidth.store import Progress, Steps, silent
 
 __all__ = ["WallMapParams", "WallResult", "plan_walls", "run_walls"]
@@ -189,7 +189,7 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
         [[0.0, 0.0, 0.0]],
         scene.seconds,
         active_damping=level,
-        contact=params.contact and replace(params.contact, contact_ns_per_m=level),
+        contact=params.contact.at(level) if params.contact and level else None,
         environment=replace(scene.environment, wall=wall),
         excitation=scene.excitation,
         start=(scene.start_position_m, scene.start_velocity_m_per_s),

@@ -35,7 +35,7 @@ def test_a_new_gateway_takes_no_damping_from_a_wall_on_its_way_out(
     flight.another_gateway()
     flight.fly(650)
     refused = flight.ask(cmd="damping", value="off")
-    assert "ramps from before this gateway" in refused["error"]["message"]
+    assert "ramps from before the start of this gateway" in refused["error"]["message"]
     flight.fly(500)
     assert flight.ask(cmd="damping", value="off")["ok"]
 

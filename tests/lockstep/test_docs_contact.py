@@ -16,13 +16,13 @@ from hapticd.core.environment import Environment
 from hapticd.guard.safe_region import SafeRegion
 from hapticd.model.bases import Theorem
 from hapticd.model.scene import Scene
-from hapticd.render.contact import ContactDamping
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.engine.contact import ContactDamping
 from hapticd.zwidth.sources import display
 
 PAGE = ROOT / "docs" / "remedies.md"
-EARLY = ContactDamping(0.0, approach_m=0.001, slew_ns_per_m_s=2000.0)
-LATE = ContactDamping(0.0, approach_m=0.005, slew_ns_per_m_s=20.0)
+EARLY = ContactDamping(approach_m=0.001, slew_ns_per_m_s=2000.0)
+LATE = ContactDamping(approach_m=0.005, slew_ns_per_m_s=20.0)
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_every_share_of_the_wall_is_judged_at_its_level(contact: ModuleType) -> 
             return [one.wall.stiffness_n_per_m != 50.0 for one in environments]
 
     region: Any = Region()
-    one = contact.Judged(rigid(), 1.6, ContactDamping(0.0, free_ns_per_m=0.8), region)
+    one = contact.Judged(rigid(), 1.6, ContactDamping(free_ns_per_m=0.8), region)
     assert one.permitted(np.array([[100.0, 2.0, 0.0]])).tolist() == [False]  # at half of it
     assert one.permitted(np.array([[110.0, 2.0, 0.0]])).tolist() == [True]
     shares = np.linspace(0.0, 1.0, contact.WAY)
@@ -67,9 +67,7 @@ def test_a_level_that_is_unsafe_in_free_motion_permits_no_wall(contact: ModuleTy
     scene = load_scene("light")
     assert judged(contact, scene, 0.87).permitted(point).all()
     assert (
-        not judged(contact, scene, 0.87, ContactDamping(0.0, free_ns_per_m=1.74))
-        .permitted(point)
-        .any()
+        not judged(contact, scene, 0.87, ContactDamping(free_ns_per_m=1.74)).permitted(point).any()
     )
 
 

@@ -12,14 +12,14 @@ from support.models import environment_tuple
 from hapticd.core.environment import Environment, WallParams
 from hapticd.core.errors import ConfigError
 from hapticd.model.effects import DampingDac
-from hapticd.render.contact import ContactDamping
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.zwidth.engine.batch import BatchResult, simulate
+from hapticd.zwidth.engine.contact import ContactDamping
 
 RATE_HZ = 1000.0
 LIMIT_N = 8.0
 WALL = WallParams(800.0, 1.5, position_m=0.002, side=1)
-RULE = ContactDamping(1.74, approach_m=0.0005, slew_ns_per_m_s=200.0)
+RULE = ContactDamping(contact_ns_per_m=1.74, approach_m=0.0005, slew_ns_per_m_s=200.0)
 MODEL = device(*TWO_MASSES, DRY, COUNTS, LIMIT, DampingDac(quantum_ns_per_m=1e-4))
 
 
@@ -56,7 +56,7 @@ def test_forces_are_those_of_law_and_rule_in_cpython_to_the_bit() -> None:
 
 def test_a_rule_of_one_level_gives_the_bytes_of_that_level() -> None:
     constant = pushed(None, level=1.74)
-    followed = pushed(ContactDamping(1.74, free_ns_per_m=1.74))
+    followed = pushed(ContactDamping(contact_ns_per_m=1.74, free_ns_per_m=1.74))
     for name in ("position_m", "force_n", "velocity_m_per_s", "work_j", "min_energy_j"):
         assert getattr(followed, name).tobytes() == getattr(constant, name).tobytes()
 

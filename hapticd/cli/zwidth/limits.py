@@ -22,9 +22,9 @@ with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, linearise, predict
-    from hapticd.render import contact as render_contact
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, sources, store, walls
+    from hapticd.zwidth.engine import contact as engine_contact
     from hapticd.zwidth.report import paper
     from hapticd.zwidth.report import passive_set as figures
 
@@ -400,7 +400,7 @@ def walls_command(
         common.levels(active_damping),
         settle_s,
         still,
-        None if approach is None else render_contact.ContactDamping(0.0, 1e-3 * approach, slew),
+        None if approach is None else engine_contact.ContactDamping(1e-3 * approach, slew),
     )
     plan = walls.plan_walls(params)
     with common.interruptible(), terminal.progress() as tell:

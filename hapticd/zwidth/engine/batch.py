@@ -33,12 +33,11 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
-from hapticd.render.contact import ContactDamping
 from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import Spectra, grid_frequencies
+from hapticd.zwidth.engine.contact import AtContact, ContactDamping
 from hapticd.zwidth.engine.job import (
-    AtContact,
     Group,
     Heating,
     Inputs,

@@ -33,7 +33,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import exp, lcm, sqrt
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -46,12 +46,14 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, generator, torque_record
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
-from hapticd.render.contact import ContactDamping
 from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import Filters, kernel, law_numbers, plant_numbers
 from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, PartShape, Shape, reduced, shape_of
 from hapticd.zwidth.engine.source import LAW_STATE, SCALARS, memory_names, number_names
+
+if TYPE_CHECKING:
+    from hapticd.zwidth.engine.contact import ContactDamping
 
 CACHED = 4  # cached jobs and records: enough for a comparison
 KEEPS = ("summary", "spectra", "records", "ticks")
@@ -76,7 +78,7 @@ class Job:
     start_position_m: float  # of all bodies
     start_velocity_m_per_s: float  # of all bodies
     parts: tuple[LawPart, ...] = ()  # of the law
-    contact: ContactDamping | None = None  # in place of `active_damping`
+    contact: "ContactDamping | None" = None  # in place of `active_damping`
 
     @property
     def samples(self) -> int:
@@ -340,44 +342,6 @@ class Heating:
                 name: value for name, value in numbers.items() if name in self._group.rows
             }
         return self._nodes[key]
-
-
-# --- active damping at a wall ---------------------------------------------------------------------
-
-
-class AtContact:
-    """The level of active damping of a group of one trial by `rule`, and its wall, scaled with it.
-
-    Both follow the sample of the tick before. The force of a sample has the share of the level that
-    was in effect when it was computed. If the level rises, it is beyond that when the force acts.
-    Limitations: a level that falls within the delay of a force of the wall, which no approach that
-    is longer than the way of that delay permits.
-    """
-
-    def __init__(self, group: Group, job: Job, rule: ContactDamping) -> None:
-        self._group = group
-        self._rule = rule
-        self._wall = job.environment.wall
-        self._period_s = 1.0 / job.model.rate_hz
-        self._quantum = job.model.active_damping_quantum_ns_per_m
-        self._set(rule.free_ns_per_m)
-
-    def follow(self) -> None:
-        """Set level and wall of the next tick, by the last position that the law has seen."""
-        x = float(self._group.rows["L0"][0])
-        level = self._rule.next_level(x, self._wall, self._level, self._period_s)
-        if level != self._level:
-            self._set(level)
-
-    def _set(self, level: float) -> None:
-        self._level = level  # before its converter
-        share = self._rule.share(level)
-        numbers = self._group.made.numbers(rounded(level, self._quantum))
-        scaled_wall = {
-            "WALL_K": share * self._wall.stiffness_n_per_m,
-            "WALL_B": share * self._wall.virtual_damping_ns_per_m,
-        }
-        self._group.set(numbers | scaled_wall)
 
 
 # --- inputs of a group ----------------------------------------------------------------------------

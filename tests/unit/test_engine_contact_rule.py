@@ -3,10 +3,12 @@
 import pytest
 
 from hapticd.core.environment import WallParams
-from hapticd.render.contact import ContactDamping
+from hapticd.zwidth.engine.contact import ContactDamping
 
 PERIOD_S = 1e-3
-RULE = ContactDamping(1.74, approach_m=0.001, slew_ns_per_m_s=200.0, free_ns_per_m=0.24)
+RULE = ContactDamping(
+    contact_ns_per_m=1.74, approach_m=0.001, slew_ns_per_m_s=200.0, free_ns_per_m=0.24
+)
 
 
 def levels(positions: list[float], wall: WallParams, level: float = 0.24) -> list[float]:
@@ -30,4 +32,6 @@ def test_level_rises_at_its_slew_from_the_approach_on_and_falls_before_it(side: 
 
 def test_wall_is_rendered_as_far_as_its_level_is_reached() -> None:
     assert [RULE.share(level) for level in (0.24, 0.99, 1.74)] == pytest.approx([0.0, 0.5, 1.0])
-    assert ContactDamping(1.0, free_ns_per_m=1.0).share(1.0) == 1.0  # the same level everywhere
+    assert (
+        ContactDamping(contact_ns_per_m=1.0, free_ns_per_m=1.0).share(1.0) == 1.0
+    )  # the same level everywhere
