@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.guard_device import change, shipped_judge
 
 from hapticd.model.compose import compose
 from hapticd.model.theorem import (
@@ -27,3 +28,10 @@ def test_yes_or_no_agrees_with_the_margin(level: float, spare: float) -> None:
     flags = outside_circles(circles(lifted, spare), points)
     assert 5 < flags.sum() < 395
     np.testing.assert_array_equal(flags, margins >= spare)
+
+
+def test_negative_stiffness_is_refused() -> None:
+    """The example of a passive-looking point that is unstable: K = -34, B = -0.86, M = 0.0048."""
+    answer = change(shipped_judge(), {"K": -34.0, "B": -0.86, "M": 0.0048})
+    assert answer["action"] == "refuse"
+    assert "K < 0" in answer["verdict"]["text"]

@@ -9,6 +9,7 @@ from support.analysis_low_lines import (
     DRY,
     HEAVY,
     NOISE,
+    RATE_HZ,
     display,
     named,
     trial_records,
@@ -18,6 +19,7 @@ from support.analysis_low_lines import (
 from hapticd.model.effects import Coulomb, Encoder, SensorNoise
 from hapticd.signal.findings import Finding
 from hapticd.signal.resolved import hinted
+from hapticd.signal.spectra import spa
 from hapticd.zwidth.outcomes import Conditions, run_trials
 
 
@@ -75,3 +77,21 @@ def test_a_batch_looks_at_its_records_where_they_hint(monkeypatch):
     assert set(looked) == {360_000}
     assert slow.answer == "not_passive"
     assert fast.answer == "passive"
+
+
+def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
+    """Half of the velocity's power is noise from 1 to 14 Hz, 4 % of it in each half hertz."""
+    monkeypatch.setattr("hapticd.signal.resolved.hinted", lambda trial: True)
+    random = np.random.default_rng(3)
+    for force, velocity in trial_records(DRY, 100.0, 4):
+        spectrum = np.fft.rfft(random.standard_normal(velocity.size))
+        f = np.fft.rfftfreq(velocity.size, 1.0 / RATE_HZ)
+        noise = np.fft.irfft(spectrum * ((f > 1.0) & (f < 14.0)), velocity.size)
+        assert named(force, velocity + noise * velocity.std() / noise.std()) == ()
+
+
+def test_only_what_hints_at_a_line_costs_a_look_at_the_record():
+    dry = analysis_devices.display()
+    ((force, velocity),) = trial_records(dry, 0.0, 1)
+    assert not hinted(spa(force, velocity))
+    assert hinted(spa(force, with_line(velocity, 5.0, 0.05)))

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from support.analysis_devices import display
+from support.analysis_devices import display, rigid
 from support.analysis_periodic import (
     BAND,
     DEVICE,
@@ -17,10 +17,16 @@ from support.analysis_periodic import (
     simulated,
 )
 from support.spectral_trials import mass_damper
+from test_analysis_periodic import rms_error
 
+from hapticd.model.effects import AntiAlias, Encoder
+from hapticd.model.excitation import torque_record
+from hapticd.model.scene import Excitation
 from hapticd.signal.assess import periodic, periodic_findings
 from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +112,29 @@ def test_lossless_device_is_decided_in_one_of_twenty():
     ]
     assert answers.count("not_passive") <= 0.05 * 300 + 2.0 * (0.05 * 0.95 * 300) ** 0.5
     assert answers.count("passive") == 0
+
+
+@pytest.mark.parametrize(
+    ("effects", "most"),
+    [((), 4e-6), ((AntiAlias(corner_hz=1800.0),), 4e-6), ((Encoder(quantum_m=0.5e-6),), 8e-4)],
+)
+def test_two_seconds_of_multisine_know_a_loop_better_than_90_s_of_noise(effects, most):
+    """K = 100 N/m, B = 1 N s/m: one period after one that settles, against the paper's trial,
+    which leaves 2e-3.
+    """
+    model = rigid(viscous=1.0, extra=effects)
+    point = (100.0, 1.0, 0.0)
+    slow = simulate(
+        model,
+        [point],
+        90.0,
+        keep="records",
+        excitation=torque_record(Excitation("noise"), 360_000, 1),
+    )
+    assert (
+        rms_error(
+            periodic(*simulated(model, point, 1, 1), RATE_HZ), "h_force", model, point, (3.0, 499.0)
+        )
+        < most
+    )
+    assert rms_error(spa(*slow.record(0)), "spa", model, point, (3.0, 200.0)) > 1.5e-3

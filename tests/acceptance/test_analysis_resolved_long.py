@@ -19,8 +19,11 @@ from support.analysis_resolved import (
     limit_of,
     outcomes,
 )
+from test_analysis_resolved import codes, verdict
 
-from hapticd.model.effects import Coulomb, Encoder
+from hapticd.model.effects import Coulomb, Encoder, SensorNoise
+from hapticd.signal.spectra import spa
+from hapticd.zwidth.outcomes import Conditions, run_trials
 
 
 @pytest.mark.slow
@@ -76,3 +79,36 @@ def test_limit_cycles_stay_found_over_seeds(device, stiffness, source):
 def test_axis_limit_of_a_lightly_damped_display_is_that_of_theory(tmp_path):
     """K = 2 b / T, within 1 %; the window alone says that such a display is passive nowhere."""
     assert limit_of(0.12, tmp_path, seeds=1) == pytest.approx(2.0 * 0.12 / T, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("device", "stiffness", "source"),
+    [
+        (display(0.12, DRY, LIMIT), 600.0, NOISE),
+        (display(0.3, LIMIT), 620.0, NOISE),
+        (display(0.3, COARSE, LIMIT), 580.0, QUIET),
+    ],
+    ids=["friction and too much stiffness", "escape to the limit", "counts"],
+)
+def test_limit_cycle_is_an_oscillation(device, stiffness, source):
+    found = verdict(device, stiffness, 1, source)
+    assert (found.answer, found.stability) == ("not_passive", "unstable")
+    assert "oscillation" in codes(found)
+
+
+def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypatch):
+    """Noise of the probe is drawn by the number of a trial: the record that is looked at again must
+    be that of the same trial."""
+    device = display(1.0, SensorNoise(velocity_m_per_s=1e-4))
+    pairs = []
+
+    def kept(force, velocity, spectra, *rest):
+        pairs.append((spa(force, velocity), spectra))
+        return spectra
+
+    monkeypatch.setattr("hapticd.signal.assess.resolved", kept)
+    points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
+    run_trials(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
+    assert 0 < len(pairs) < len(points)
+    for again, first in pairs:
+        assert np.abs(again.cross - first.cross).max() < 1e-9 * np.abs(first.cross).max()

@@ -12,6 +12,7 @@ from support.spectral_trials import mass_damper, record, with_phase_margin
 
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
+from hapticd.signal.findings import coherence_findings, examine
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
@@ -124,3 +125,10 @@ def test_simultaneous_interval_covers_the_true_margin():
         ).margin_ns_per_m
         covered += margin.lower <= 0.3 <= margin.upper
     assert covered / 150 >= 0.95
+
+
+def test_noise_alone_raises_no_finding():
+    for seed in range(25):
+        force, velocity = record(mass_damper(0.008, 1.0, 50.0), seed, 90_000, rate_hz=1000.0)
+        assert examine(force, velocity, 1000.0).findings == ()
+        assert coherence_findings(spa(force, velocity, 1000.0, 512), (2.0, 300.0)) == ()

@@ -136,3 +136,16 @@ def test_lost_board_leaves_no_garbage_in_circles():
             gc.enable()
     assert stack.gateway.counters()["reconnects"] > 3
     assert garbage == 0
+
+
+def test_figure_4_environment_renders_on_the_simulated_board():
+    with LockStep(servo_params(), board_params()) as stack:
+        enable(stack, FIG_4)
+        perturbed(stack)
+        flown = as_records(stack.run(5000))
+    assert set(flown["state"]) == {State.ENABLED}
+    assert not flown["flags"].any()
+    expected = flown["stiffness_force_n"] + flown["virtual_damping_force_n"] + flown["mass_force_n"]
+    assert np.abs(flown["force_n"] - expected).max() <= 0.5 * 8.0 / 32767 * 1.0001
+    assert np.allclose(flown["stiffness_force_n"], -100.0 * flown["position_m"], rtol=1e-12, atol=0)
+    assert 1e-5 < np.abs(flown["position_m"]).max() < 5e-3

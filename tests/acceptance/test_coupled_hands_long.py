@@ -192,3 +192,15 @@ def test_whatever_a_hand_shakes_was_not_called():
     )
     assert shaken.sum() > 100
     assert not shaken[:, holds].any()
+
+
+def test_random_hands_are_positive_real():
+    """The definition: Re Z(s) >= 0 for every s in the right half-plane, not by the network's
+    matrices but by Z itself.
+    """
+    random = np.random.default_rng(0)
+    angle = random.uniform(-0.5, 0.5, 60) * np.pi
+    size = 10.0 ** random.uniform(-1, 5, 60)
+    for hand in hands():
+        z = hand.impedance(size * np.exp(1j * angle))
+        assert (z.real >= -ROUNDING * np.abs(z)).all()

@@ -282,3 +282,36 @@ def test_lost_frames_and_gaps_in_the_records_are_left_out():
         assert not delivered.take(records[start : start + 20])
     assert holds(delivered.estimate, circuit(LEVEL))
     assert delivered.estimate.seconds < 4.0
+
+
+@pytest.mark.parametrize(("relied_on", "faults"), [(0.5, 0), (1.2, 1), (None, 0)])
+def test_fault_is_asked_for_once_and_only_where_the_damping_is_relied_on(relied_on, faults):
+    """0.6 of 1.74 are about 1.1 N s/m."""
+    _, lows = followed(*failed((("active_damping_gain", 0.6),)), relied_on=relied_on)
+    assert sum(low.warn for low in lows) == 1
+    assert sum(low.fault for low in lows) == faults
+
+
+def test_low_damping_is_told_after_it_was_low_for_three_seconds():
+    servo, records = failed((("active_damping_gain", 0.3),))
+    delivered = Delivered(servo, lambda: None)
+    since = None
+    for start in range(0, len(records), 256):
+        lows = delivered.take(records[start : start + 256])
+        high = delivered.estimate.high
+        if since is None and high is not None and high < 0.8 * LEVEL:
+            since = start
+        if lows:
+            break
+    assert since is not None
+    assert start - since == 11 * 256
+
+
+def test_without_current_the_voltage_over_a_known_resistance_serves():
+    servo, records = flown()
+    blind = changed(records, current_a=0.0)
+    found, _ = followed(servo, blind)
+    assert holds(found, circuit(LEVEL))
+    assert found.basis == "voltage, resistance and encoder, no current"
+    nothing = replace(servo, device=replace(servo.device, winding_ohm=0.0))
+    assert followed(nothing, blind)[0].basis.startswith("unknown: the board sends no current")

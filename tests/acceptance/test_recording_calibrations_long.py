@@ -4,6 +4,7 @@ import dataclasses
 import json
 from contextlib import contextmanager
 
+import pytest
 from support.boards import board_params
 from support.recorded import RecordedFlight, recorded_into
 from test_recording_calibrations import OLD, SCALES, TRIAL, dated
@@ -11,6 +12,7 @@ from test_recording_calibrations import OLD, SCALES, TRIAL, dated
 from hapticd.cli import change
 from hapticd.cli.app import main
 from hapticd.recording.file import open_recording
+from hapticd.recording.provenance import certificate_path
 from hapticd.run.lockstep import LockStepClient
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
@@ -63,3 +65,20 @@ def test_recording_names_them_and_so_does_the_trial_in_it(tmp_path):
     assert len(said) == len(SCALES)
     assert attributes["certificate"] == ""
     assert read_file(tmp_path / "run.h5").more["calibration_doubts"] == said
+
+
+@pytest.fixture
+def certified(tmp_path):
+    """A servo whose device file has a certificate."""
+    file = tmp_path / "own.toml"
+    path = certificate_path(file, "a" * 64)
+    path.parent.mkdir()
+    said = {"date": "2026-05-02", "verdict": "verified", "device": {"file_sha256": "a" * 64}}
+    path.write_text(json.dumps(said))
+    return dataclasses.replace(dated(), device_file=str(file), device_file_sha256="a" * 64)
+
+
+def test_trial_carries_the_certificate(certified):
+    with LockStepClient(certified, board_params()) as bench:
+        recorded = daemon_source(bench, uncalibrated=True)(TRIAL)
+    assert recorded.more["certificate"]["verdict"] == "verified"

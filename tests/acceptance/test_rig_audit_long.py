@@ -6,7 +6,7 @@ import pytest
 from support.models import COUNT_M
 from test_rig_audit import FILE, MOVED_M, N_PER_A, Moving, board
 
-from hapticd.core.errors import HapticdError
+from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.protocol.view import as_records
 from hapticd.rig.steps.delivery import measure_delivery, measure_residual
 
@@ -102,3 +102,10 @@ def test_authority_that_is_lost_ends_the_audit():
         with pytest.raises(HapticdError):
             measure_delivery(hand.bench, stopped, 5.0)
         assert not as_records(hand.bench.run(50))["force_n"].any()
+
+
+@pytest.mark.parametrize("step", [measure_delivery, measure_residual])
+def test_both_wait_for_the_signs(step):
+    unseen = Moving(FILE | {"commissioning": True}, **board(0.0))
+    with unseen as hand, pytest.raises(AnalysisError, match="signs"):
+        step(hand.bench, hand.ask)

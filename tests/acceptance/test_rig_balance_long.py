@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.rig_balance import FACTS, runs_of
-from support.shaken_handle import Truth
+from support.shaken_handle import Truth, shaken
 
+from hapticd.rig.excitation import noise
+from hapticd.rig.experiment import PerturbationRun
+from hapticd.rig.steps import force_balance as balance
 from hapticd.rig.steps import identify
 from hapticd.rig.steps.force_balance import RIGID, fit_rigid_mass
+from hapticd.rig.steps.force_terms import clocked
 from hapticd.rig.steps.identify import analyse
 from hapticd.signal.verdict import student_quantile
 
@@ -150,3 +154,21 @@ def test_a_mass_that_no_force_could_move_is_refused(monkeypatch):
     result = analyse(runs_of(Truth()), FACTS)
     assert not result.changes
     assert "moving mass 360 g" in result.findings[0].what
+
+
+def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
+    monkeypatch.setattr(balance, "FIRST_ROUNDS", 1)
+    monkeypatch.setattr(balance, "ROUNDS", 1)
+    result = analyse(runs_of(Truth()), FACTS)
+    assert not result.settled
+    assert not result.values
+    assert not result.changes
+    assert "not settled" in result.findings[0].what
+
+
+def test_the_probes_clock_is_found_by_the_motion():
+    run = shaken(Truth(), noise(8.0, 0.7, 1), 20.0, 0.3, 0)
+    late = PerturbationRun(run.board_us + 90.0, *list(vars(run).values())[1:])
+    found = clocked(late)
+    assert found.phase_us == pytest.approx(90.0, abs=0.5)
+    assert found.gain == pytest.approx(1.0, abs=2e-3)

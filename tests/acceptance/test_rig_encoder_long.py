@@ -7,7 +7,7 @@ from support.rig_hand import Hand
 from test_rig_encoder import DISTANCE, FREE
 
 from hapticd.core.params import ScaleParams
-from hapticd.rig.steps.encoder import measure
+from hapticd.rig.steps.encoder import Distance, measure, scale_of
 
 
 def person(hand, random, towards=1.0):
@@ -63,3 +63,13 @@ def test_another_sign_of_position_takes_the_verified_signs_back(sign, doubted):
     changes = {(one.table, one.key): one.value for one in result.changes}
     assert changes["position", "sign"] == 1
     assert (changes.get(("commissioning", "signs_verified")) is False) == doubted
+
+
+def test_the_scale_lies_in_its_interval_nineteen_times_in_twenty():
+    random = np.random.default_rng(11)
+    inside = 0
+    for _ in range(1000):
+        steps = (0.01 + 5e-6 * random.standard_normal(3)) / COUNT_M
+        scale = scale_of(steps, Distance(0.01, 1e-12))
+        inside += scale.low <= COUNT_M <= scale.high
+    assert 930 <= inside <= 970

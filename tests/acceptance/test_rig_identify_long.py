@@ -10,6 +10,7 @@ from support.models import device_params
 from support.rig_identify import COULOMB_N, MASS_KG, VISCOUS, bench, nothing
 from support.tree import ROOT
 
+from hapticd.core.errors import AnalysisError
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
@@ -153,3 +154,26 @@ def test_a_motor_that_nobody_measured_is_not_taken_for_one(found, tmp_path):
     device = write_changes(file, unknown, "rig identify", date(2026, 11, 22))
     assert device.model.table("motor").source == "inferred"
     assert build.device_params(device).motor_n_per_a == device.home.current_n_per_a
+
+
+@pytest.mark.parametrize("way", ["fault", "interrupt"])
+def test_whatever_ends_it_leaves_no_force(way):
+    """The amplifier fails, or somebody presses Ctrl-C, while the handle is shaken."""
+    with bench() as rig:
+        started = rig.perturb_start
+
+        def start(loop=False):
+            receipt = started(loop)
+            if way == "interrupt":
+                raise KeyboardInterrupt
+            rig.stop()
+            return receipt
+
+        rig.perturb_start = start
+        with pytest.raises((AnalysisError, KeyboardInterrupt)):
+            measure(rig, nothing)
+        assert rig.status().state != "enabled"
+        rig.run(100)
+        assert float(rig.newest["force_n"]) == 0.0
+        assert not rig.newest["perturbing"]
+        assert not rig._leases

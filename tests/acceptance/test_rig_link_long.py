@@ -72,3 +72,21 @@ def test_missing_features_are_named():
     ) as bench:
         result = measure(bench, SECONDS)
     assert any("temperature" in one.what and one.verdict == "refused" for one in result.findings)
+
+
+def test_a_board_that_drops_its_damping_with_the_torque_is_refused():
+    def dropping(axis):
+        held = axis._fail_safe
+
+        class Dropping(type(axis)):
+            __slots__ = ()
+
+            def _fail_safe(self):
+                held()
+                self._damp(0)
+
+        axis.__class__ = Dropping
+
+    result, _, _ = watched(change=dropping)
+    assert any("held for 2 s" in one.remedy for one in result.findings)
+    assert not result.settled

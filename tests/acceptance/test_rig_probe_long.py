@@ -115,3 +115,16 @@ def test_authority_that_is_lost_ends_the_step():
             sine_run(hand.bench)
         assert hand.bench.status().state == "fault"
         assert not hand.bench.newest["perturbing"]
+
+
+def test_a_handle_that_wanders_off_is_let_go():
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def pulled(cmd, **fields):
+            hand.pull_n = 0.3 if fields.get("action") == "start" else hand.pull_n
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = pulled
+        with pytest.raises(AnalysisError, match="beyond"):
+            sine_run(hand.bench)
+        assert hand.bench.status().state == "disabled"

@@ -1,9 +1,11 @@
 """`rig temperature`: closed forms on made-up counts, and the simulated board's sensor."""
 
 import numpy as np
+import pytest
 from support.rig_hand import Hand
-from test_rig_temperature import DEVICE, counts, holds, shaken, told
+from test_rig_temperature import DEVICE, counts, holds, refused, shaken, told
 
+from hapticd.core.errors import AnalysisError
 from hapticd.rig.steps.winding import (
     KnownTemperatures,
     analyse_back_emf,
@@ -44,3 +46,18 @@ def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
         assert hand.bench.status().state == "disabled"
     assert result.settled
     assert holds(told(result)["temperature.offset_count"], 0.0)
+
+
+def test_a_board_without_the_sensor_is_told_so():
+    with Hand(lacks=("temperature",)) as hand, pytest.raises(AnalysisError, match="no temperature"):
+        measure_temperature(hand.bench, hand.ask, KnownTemperatures((22.0,)))
+
+
+def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
+    asked = []
+    with Hand() as hand:
+        result = measure_temperature(
+            hand.bench, lambda one: asked.append(one.action), KnownTemperatures((295.0,))
+        )
+    assert "degC" in refused(result)[0].what
+    assert asked == ["let go"]

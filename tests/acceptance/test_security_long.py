@@ -59,3 +59,8 @@ def test_nothing_is_unpickled_by_the_way() -> None:
         if ast.unparse(node.func).startswith("np."):
             words = {word.arg: ast.unparse(word.value) for word in node.keywords}
             assert words.get("allow_pickle") == "False", f"{place}: {ast.unparse(node)}"
+
+
+def test_text_is_made_a_program_in_one_place() -> None:
+    """Of numbers that a device file was read into, and of nothing in its own words."""
+    assert [place for place, _ in calls("eval", "exec")] == ["model/composed.py"]

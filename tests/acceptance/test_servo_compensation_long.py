@@ -130,3 +130,29 @@ def test_board_that_restarts_is_compensated_anew():
     steps = np.diff(counts[first:])
     assert steps.max() * COUNT_OHM <= 0.1 * 0.151
     assert counts[-1] == pytest.approx(counts[2990], abs=2)
+
+
+def test_count_that_is_recorded_is_the_one_on_the_wire_to_the_last_frame():
+    with LockStep(*device()) as stack:
+        ticks = np.frombuffer(stack.run(1500), dtype=RECORD)
+        sent = [codec.decode_out(bytes(one)).resistance for one in ticks["out_frame"]]
+        assert sent == ticks["resistance_count"].tolist()
+        assert sent[-1] > 2000
+        axis = stack.backend._port._axis
+        held = axis.resistance_count
+    assert axis.resistance_count == held  # as the damping, that the board's watchdog then holds
+
+
+def test_lying_sensor_never_brings_the_loop_below_minus_0_3():
+    """A sensor that reads as hot as it can, stuck or jumping, and any current that switches."""
+    random = Random(7)
+    nearest = []
+    for _ in range(100):
+        warm = Warm(params(model_error=0.1), 7.2, 9.0, 15.0)
+        for step in range(400):
+            if step % 40 == 0:
+                ampere = random.choice((0.0, 3.0, 3.8))
+                sensor_c = random.choice((119.0, 119.0, 20.0, -300.0))
+            warm.look(ampere, sensor_c=sensor_c)
+        nearest.append(warm.nearest)
+    assert -0.3001 < min(nearest) < -0.2

@@ -4,6 +4,8 @@ The balance is that of the simulated motor: work on the device + change of store
 damping x int v^2 dt - what changes brought in.
 """
 
+from itertools import product
+
 import numpy as np
 import pytest
 from support.boards import board_params
@@ -95,3 +97,15 @@ def test_long_good_credit_does_not_delay_it(seed):
     assert late.acted
     fresh = np.array(late.leaks[before:])
     assert (fresh - np.minimum.accumulate(fresh)).max() <= BALANCE_J
+
+
+@pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
+def test_device_without_active_damping_gives_up_stiffness(delay, hand):
+    """Its ceiling is 0: the cut comes at once."""
+    for seed in range(2):
+        held = against_a_wall(
+            True, seed, 0.0, delay, hand, damps=False, active_damping_limit_ns_per_m=0.0
+        )
+        assert held.plan.state is State.ENABLED
+        assert max(held.leaks) <= BALANCE_J
+        assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, 0.0)

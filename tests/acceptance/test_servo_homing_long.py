@@ -3,13 +3,14 @@ motor without power, and 50 seeds of all of them.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from support.boards import board_params
 from support.homing_rig import HOME, Rig, seeded
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
-from test_servo_homing import STOP_M, damped, held, why
+from test_servo_homing import INDEX, STOP_M, damped, held, why
 
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.params import Ends, HandParams, ScaleParams, TouchParams
@@ -150,3 +151,51 @@ def test_held_handle_is_told_on_the_whole_stack():
     assert flown["state"][-1] == State.FAULT
     assert BY_NUMBER[flown["fault"][-1]].code == "home_failed"
     assert not flown["homed"].any()
+
+
+def test_authority_that_flickers_starts_the_push_anew():
+    rig = Rig(HOME, damped(1e5), granted=lambda tick: tick not in (900, 901), lower_stop_m=STOP_M)
+    rig.fly()
+    rig.fly(Command.HOME)
+    while rig.tick < 902:
+        rig.fly()
+    assert rig.force_n == 0.0
+    while rig.plan.state is State.HOMING:
+        rig.fly()
+    assert max(abs(b - a) for a, b in pairwise(rig.forces[903:-1])) < 0.05
+    assert rig.plan.homed
+
+
+def test_failed_homing_lets_go_in_twenty_ticks():
+    rig = Rig(replace(HOME, timeout_s=2.0), held(500.0))
+    assert not rig.home(STOP_M).homed
+    end = len(rig.forces)
+    for _ in range(25):
+        rig.fly()
+    assert abs(rig.forces[end - 2]) > 0.2
+    assert max(abs(b - a) for a, b in pairwise(rig.forces[end - 2 :])) < 0.5 / 20 + 2 * COUNT_N
+    assert rig.forces[-1] == 0.0
+
+
+def test_filter_that_a_client_has_set_does_not_reach_homing():
+    slow = replace(servo_params().environment.velocity_filter, frequency_hz=0.1)
+    rig = Rig(HOME, damped(1e5), lower_stop_m=STOP_M)
+    settled = rig.state[0]
+    plan = settled.plan._replace(filters=(slow, settled.plan.filters[1]))
+    rig.state = (replace(settled, plan=plan), *rig.state[1:])
+    assert rig.home(STOP_M).error_m == pytest.approx(5e-6, abs=2 * COUNT_M)
+
+
+def test_index_that_never_comes_fails_after_both_stops():
+    found = Rig(INDEX, damped(1e5), lower_stop_m=STOP_M, upper_stop_m=0.005, mark_m=0.1).home(0.1)
+    assert (found.homed, why(found)) == (False, "home_failed")
+    assert found.ticks < 5000
+
+
+@pytest.mark.parametrize(("mass_kg", "ratio"), [(0.005, 0.0), (0.008, 0.3)])
+@pytest.mark.parametrize("stiffness_n_per_m", [1e4, 1e5, 5e5, 2e6])
+def test_stop_of_any_stiffness_is_found(stiffness_n_per_m, ratio, mass_kg):
+    touch = damped(stiffness_n_per_m, ratio, mass_kg)
+    found = Rig(HOME, touch, mass_kg=mass_kg, lower_stop_m=STOP_M).home(STOP_M)
+    assert found.homed
+    assert found.error_m == pytest.approx(0.5 / stiffness_n_per_m, abs=2 * COUNT_M)

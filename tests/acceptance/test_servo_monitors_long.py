@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from support.models import COUNT_M
-from test_servo_monitors import CREDIT, ENERGY_LIMIT_J, WATCHED, T, watched
+from test_servo_monitors import CREDIT, ENERGY_LIMIT_J, WATCHED, T, first, shaken, watched
 
 from hapticd.core.environment import FilterParams
+from hapticd.core.faults import BY_NUMBER
+from hapticd.mailbox.layout import Flag, State, Value
 from hapticd.model.theorem import required_damping
 from hapticd.render.law import EMPTY, EXCESS, at_rest, book, design_coefficients, render
 from hapticd.servo.safety import bounds
@@ -65,3 +67,26 @@ def test_hand_motion_inside_the_theorem_never_trips(axis, sign, delay, ten_minut
         ledger = book(ledger, law[1], force, delay, spring, values[2], v, credited / T, kept)
         most = max(most, ledger[EXCESS])
     assert most < 0.1 * ENERGY_LIMIT_J
+
+
+@pytest.mark.parametrize(
+    ("code", "faults", "device"),
+    [
+        ("force_at_limit", True, {}),
+        ("overspeed", False, {"overspeed_m_per_s": 3.5}),
+        ("energy", True, {"physical_damping_ns_per_m": CREDIT}),
+    ],
+)
+def test_limit_cycle_ends_within_200_ms_of_the_first_clamped_tick(code, faults, device):
+    """K = 800 without damping, each monitor alone; without any it goes on for ever."""
+    spring = {Value.STIFFNESS: 800.0}
+    for_ever = shaken(watched(False), spring)
+    clamped = (for_ever["flags"] & Flag.CLAMPED) != 0
+    assert for_ever["state"][-1] == State.ENABLED
+    assert clamped[-1000:].mean() > 0.5
+    flown = shaken(watched(faults, **device), spring)
+    ended = first(flown["fault"])
+    assert BY_NUMBER[int(flown["fault"][ended])].code == code
+    assert ended <= first(clamped) + 200
+    # the ramp of every fault
+    assert not flown["force_n"][ended + 20 :].any()

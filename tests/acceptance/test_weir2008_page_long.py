@@ -173,3 +173,17 @@ def test_page_of_trials_refuses_a_prediction(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "predicted with --quick; the page reports trials: run it without" in done.stderr
     assert (DOCS / "reproduction.md").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "folder"), [("", "build/reproduction"), ("--quick", "build/reproduction-quick")]
+)
+def test_make_keeps_quick_runs_apart(words: str, folder: str) -> None:
+    planned = subprocess.run(
+        ["make", "--dry-run", "reproduce", f"ARGS={words}"],
+        cwd=DOCS.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"python -m examples.weir2008 --out {folder} {words}\n" in planned.stdout

@@ -9,7 +9,7 @@ they began with. The probe's index, which the servo hands on as it is, has its w
 from typing import Any
 
 import numpy as np
-from test_wraps import BEFORE, WORD, Records, flown, same, with_revisions
+from test_wraps import BEFORE, WORD, Records, flown, same, with_revisions, with_ticks
 
 from hapticd.run.lockstep import LockStep
 from hapticd.usb import codec
@@ -60,3 +60,12 @@ def test_flight_is_the_same_over_the_wrap_of_revisions() -> None:
         behind = there[name].astype(np.int64)
         assert behind.max() == WORD - 1
         assert behind[-1] < 20
+
+
+def test_flight_is_the_same_where_ticks_need_33_bits() -> None:
+    here = flown()
+    there = flown(with_ticks)
+    same(here, there, "tick", "slot", "tail")
+    for name in ("tick", "slot", "tail"):
+        assert set(there[name] - here[name]) == {WORD - BEFORE}
+    assert there["tick"][0] < WORD < there["tick"][-1]

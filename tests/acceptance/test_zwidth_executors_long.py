@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.measured_scenes import MOTOR, scene
 from support.zwidth_executors import SHORT, made, refuse, same_error
+from test_zwidth_executors import FirstOnly, limits
 
 from hapticd.core.errors import (
     CommandError,
@@ -21,8 +22,9 @@ from hapticd.signal import assess
 from hapticd.zwidth import executors
 from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
-from hapticd.zwidth.outcomes import TOGETHER, Conditions, run_trials
-from hapticd.zwidth.store import to_json
+from hapticd.zwidth.limits import run_limits
+from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, run_trials
+from hapticd.zwidth.store import TrialStore, to_json
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +111,20 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
     points = np.zeros((200, 3))  # several groups of lanes
     executors.alone(run_trials, SHORT, 0.0, points)
     assert asked == [1]
+
+
+def test_given_up_limits_cancel_what_has_not_begun() -> None:
+    pool = FirstOnly()
+    heard = []
+
+    def hear(scan: Any, conditions: Conditions, new: list[Outcome]) -> None:
+        heard.append(scan)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_limits(limits(), TrialStore(None), executor=pool, on_outcomes=hear)
+    assert heard == [limits().scans[0]]
+    assert (
+        len(pool.futures) == 6
+    )  # each of the six limits its first round; outcomes are told before the next one
+    assert all(future.cancelled() for future in pool.futures[1:])

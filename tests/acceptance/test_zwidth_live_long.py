@@ -4,8 +4,9 @@ left disabled.
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-from test_zwidth_live import RIGID, SECONDS, flown
+from test_zwidth_live import RIGID, SECONDS, Looped, flown
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import HandParams, TouchParams
@@ -13,6 +14,7 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
 
@@ -53,3 +55,22 @@ def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
         with pytest.raises(AnalysisError, match="slow start: the gain was still rising"):
             run_trial(plan, daemon_source(bench))
         assert bench.status().state == "disabled"
+
+
+def test_trial_that_someone_ends_says_so(rigid):
+    found = flown(rigid, lambda bench: bench.disable())
+    assert str(found.recorded.ended) == "disabled: another client ended it"
+    assert found.recorded.ended.reason is EndReason.DISABLED
+
+
+@pytest.mark.parametrize(
+    ("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)]
+)
+def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
+    """A client that is killed leaves nothing that shakes for ever."""
+    with Looped(*scene_params(rigid)) as bench:
+        daemon_source(bench)(
+            Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n),
+            lambda what, done, total: None,
+        )
+        assert bench.looped is looped

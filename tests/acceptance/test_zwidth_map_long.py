@@ -229,3 +229,15 @@ def test_set_that_goes_on_beyond_the_box_is_marked_open():
     found = run_search(plan_search(params), TrialStore(None))
     assert found.plan.box == box
     assert found.open_ends == ("K max", "B min", "M max")
+
+
+def test_midpoint_that_passes_moves_the_limit():
+    """At K = M = 0 the set ends at B = 2.18 N s/m: the midpoint of 1 and 3 passes."""
+    axes = (np.array([0.0, 100.0]), np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.0005]))
+    coarse = plan_map(MapParams(conditions(seconds=60.0), axes, (0.0,), everywhere=True))
+    finer = replace(coarse, params=replace(coarse.params, refine=1))
+    store = TrialStore(None)
+    limits = [
+        run_map(plan, store).levels[0].found.limits().virtual_damping[1] for plan in (coarse, finer)
+    ]
+    assert limits == [1.0, 2.0]

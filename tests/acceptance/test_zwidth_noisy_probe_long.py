@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.zwidth_noisy_probe import GIVEN, POINTS
+from test_zwidth_noisy_probe import recorded
 
 from hapticd.core.arrays import Floats
 from hapticd.zwidth.executors import executor
@@ -55,3 +56,16 @@ def test_a_map_that_goes_on_is_the_map_that_was_not_interrupted(tmp_path: Path) 
     known = to_json(whole.known)
     assert to_json(TrialStore(path).known) == {key: known[key] for key in TrialStore(path).known}
     assert len(TrialStore(path).known) == plan.trials
+
+
+@pytest.mark.parametrize("dtype", ["f32", "f64"])
+def test_a_record_is_the_same_alone_and_in_any_lane(dtype: str) -> None:
+    whole = recorded(POINTS, dtype).velocity_m_per_s
+    turned = recorded(POINTS[::-1], dtype).velocity_m_per_s
+    assert whole is not None
+    assert turned is not None
+    assert np.array_equal(turned[::-1], whole)
+    for place, point in enumerate(POINTS):
+        alone = recorded(point[None], dtype).velocity_m_per_s
+        assert alone is not None
+        assert np.array_equal(alone[0], whole[place])

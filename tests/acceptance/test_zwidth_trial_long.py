@@ -108,3 +108,22 @@ def test_loop_that_ran_away_at_once_ends_its_lockstep_trial_as_an_escape(rigid):
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
     assert str(found.ended).startswith("escape: the command reached its limit of 8 N")
     assert found.seconds < 5.0
+
+
+@pytest.mark.parametrize(
+    ("scene", "environment"),
+    [
+        ("fig4", (4000.0, 0.0, 0.0)),
+        ("fig4", (0.0, 12.0, 0.0)),
+        ("fig4", (0.0, 0.0, 0.06)),
+        ("rival", (3000.0, 0.0, 0.0)),
+    ],
+)
+def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scene, environment):
+    """Nothing grows any more; what moves the device is not the perturbation."""
+    trial = Trial(environment, seconds=20.0)
+    found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(scene)))
+    assert str(found.recorded.ended).startswith(
+        "escape: the command reached its limit of 8 N in a motion of its own"
+    )
+    assert found.verdict.answer == "not_passive"

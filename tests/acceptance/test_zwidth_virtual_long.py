@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hapticd
-from hapticd.client import CommandError
+from hapticd.client import CommandError, step
 from hapticd.run.virtual import VirtualBoard
 
 pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
@@ -49,3 +49,18 @@ def test_two_boards_repeat_each_other_to_the_bit() -> None:
             records.append(board.record(0.5)[0])
     for name in ("position_m", "force_n", "tick", "revision"):
         assert np.array_equal(*(one[name] for one in records))
+
+
+def test_a_sequence_acts_at_its_ticks(board: VirtualBoard) -> None:
+    steps = [
+        step("damping", value="on"),
+        step("enable", after_s=0.5),
+        step("set", K=100, after_s=0.5),
+        step("damping", value="off", after_s=1.0),
+        step("disable", after_s=1.0),
+    ]
+    done = board.sequence(steps)
+    assert all(one.acted for one in done)
+    ticks = [one.tick for one in done]
+    assert np.diff(ticks)[1:3].tolist() == [500, 1000]
+    assert len({one.revision for one in done}) == len(done)

@@ -2,9 +2,7 @@
 resonance, however narrow, not friction, counts or noise of the probe.
 """
 
-import numpy as np
 import pytest
-from support import analysis_devices
 from support.analysis_low_lines import (
     DRY,
     HEAVY,
@@ -15,8 +13,6 @@ from support.analysis_low_lines import (
 )
 
 from hapticd.core.arrays import Floats
-from hapticd.signal.resolved import hinted
-from hapticd.signal.spectra import spa
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialParams, TrialResult, judged, plan_trial
@@ -29,17 +25,6 @@ def test_a_line_that_wanders_is_named(line_hz):
         assert found.code == "line"
 
 
-def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
-    """Half of the velocity's power is noise from 1 to 14 Hz, 4 % of it in each half hertz."""
-    monkeypatch.setattr("hapticd.signal.resolved.hinted", lambda trial: True)
-    random = np.random.default_rng(3)
-    for force, velocity in trial_records(DRY, 100.0, 4):
-        spectrum = np.fft.rfft(random.standard_normal(velocity.size))
-        f = np.fft.rfftfreq(velocity.size, 1.0 / RATE_HZ)
-        noise = np.fft.irfft(spectrum * ((f > 1.0) & (f < 14.0)), velocity.size)
-        assert named(force, velocity + noise * velocity.std() / noise.std()) == ()
-
-
 @pytest.mark.parametrize("seconds", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize(("device", "stiffness"), [(HEAVY, 50.0), (DRY, 20.0), (DRY, 0.0)])
 def test_a_short_record_has_lines_only_where_they_are(device, stiffness, seconds):
@@ -48,13 +33,6 @@ def test_a_short_record_has_lines_only_where_they_are(device, stiffness, seconds
         if seconds > 5.0:
             (found,) = named(force, with_line(velocity, 5.0, 0.25))
             assert found.code == "line"
-
-
-def test_only_what_hints_at_a_line_costs_a_look_at_the_record():
-    dry = analysis_devices.display()
-    ((force, velocity),) = trial_records(dry, 0.0, 1)
-    assert not hinted(spa(force, velocity))
-    assert hinted(spa(force, with_line(velocity, 5.0, 0.05)))
 
 
 def of_trial(velocity: Floats, force: Floats) -> TrialResult:

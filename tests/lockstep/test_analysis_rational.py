@@ -10,13 +10,11 @@ from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import FilterParams
 from hapticd.model import rational as subject
-from hapticd.model.angles import FIXED
 from hapticd.model.bases import Conditions, Theorem, line_ends, model_of
 from hapticd.model.compose import compose
-from hapticd.model.coupled import coupled_radius
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.rational import positive_everywhere, rational
-from hapticd.model.theorem import circles, lifted_system, open_loop, outside_circles
+from hapticd.model.theorem import circles, lifted_system, open_loop
 from hapticd.zwidth.sources import device_scene
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.0005, 1.54, 0.25)
@@ -63,15 +61,6 @@ def springs():
         network.join(0, GROUND, float(stiffness))
         hands.append(network.hand())
     return hands
-
-
-def test_a_mode_that_angles_1_hz_apart_step_over_is_found():
-    """Half a promille of critical damping: a spring shakes what the fixed angles call passive."""
-    model = LEAF.model()
-    point = np.array([[60.0, 0.0, 0.0]])
-    assert outside_circles(at_angles(model, PAPER_FILTERS, FIXED), point)[0]
-    assert not positive_everywhere(rational(model, 0.0, PAPER_FILTERS, 0.0), point)[0]
-    assert coupled_radius(model, point, springs()).max() > 1.0 + 1e-6
 
 
 def bowl(depth):

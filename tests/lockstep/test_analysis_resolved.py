@@ -8,11 +8,7 @@ up to K = 2 b / T.
 import numpy as np
 import pytest
 from support.analysis_resolved import (
-    COARSE,
-    DRY,
-    LIMIT,
     NOISE,
-    QUIET,
     T,
     display,
     least_resistance,
@@ -20,14 +16,12 @@ from support.analysis_resolved import (
 )
 
 from hapticd.core.arrays import Floats
-from hapticd.model.effects import SensorNoise
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.resolved import resolved, unresolved
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.signal.verdict import Verdict, judge
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial
@@ -92,21 +86,6 @@ def test_verdict_says_how_and_where_it_was_judged_again():
     )
 
 
-@pytest.mark.parametrize(
-    ("device", "stiffness", "source"),
-    [
-        (display(0.12, DRY, LIMIT), 600.0, NOISE),
-        (display(0.3, LIMIT), 620.0, NOISE),
-        (display(0.3, COARSE, LIMIT), 580.0, QUIET),
-    ],
-    ids=["friction and too much stiffness", "escape to the limit", "counts"],
-)
-def test_limit_cycle_is_an_oscillation(device, stiffness, source):
-    found = verdict(device, stiffness, 1, source)
-    assert (found.answer, found.stability) == ("not_passive", "unstable")
-    assert "oscillation" in codes(found)
-
-
 def test_escape_by_the_seconds_is_none_where_the_perturbation_drives_it():
     """Its resonance rings for 4 s, so it swells and fades with the noise; beyond the limit the
     same device runs away.
@@ -167,21 +146,3 @@ def test_a_result_shows_the_impedance_that_its_verdict_was_found_by():
     margin = found.verdict.margin_ns_per_m
     at = found.measured.frequency_hz == margin.frequency_hz
     assert found.measured.impedance_ns_per_m.real[at] == pytest.approx(margin.value, rel=1e-12)
-
-
-def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypatch):
-    """Noise of the probe is drawn by the number of a trial: the record that is looked at again must
-    be that of the same trial."""
-    device = display(1.0, SensorNoise(velocity_m_per_s=1e-4))
-    pairs = []
-
-    def kept(force, velocity, spectra, *rest):
-        pairs.append((spa(force, velocity), spectra))
-        return spectra
-
-    monkeypatch.setattr("hapticd.signal.assess.resolved", kept)
-    points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
-    run_trials(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
-    assert 0 < len(pairs) < len(points)
-    for again, first in pairs:
-        assert np.abs(again.cross - first.cross).max() < 1e-9 * np.abs(first.cross).max()

@@ -6,8 +6,6 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support.octave.run import GOLDEN, record, spa_by_octave
 
 from hapticd.core.errors import AnalysisError
@@ -89,22 +87,6 @@ def test_without_numba_the_plain_kernels_are_used(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "hapticd.signal.compiled", None)
     monkeypatch.delattr("hapticd.signal.compiled", raising=False)
     assert kernel_module.kernels.__wrapped__() is kernel_module
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.lists(st.integers(0, 700), min_size=1, max_size=30), st.integers(2, 90))
-def test_stream_equals_the_whole_record(blocks, lag):
-    n_samples = sum(blocks) + lag + 1
-    force, velocity = record(n_samples, lag)
-    stream = SpectralStream(RATE_HZ, lag)
-    start = 0
-    for size in (*blocks, lag + 1):
-        stream.add(force[start : start + size], velocity[start : start + size])
-        start += size
-    found = stream.spectra()
-    expected = estimate(force, velocity, RATE_HZ, lag)
-    for name in ("velocity", "force", "cross"):
-        assert worst(getattr(found, name), getattr(expected, name)) < 1e-10
 
 
 def test_stream_may_be_asked_before_its_end():

@@ -62,19 +62,6 @@ def enable(stack, settings):
     stack.run(520)
 
 
-def test_figure_4_environment_renders_on_the_simulated_board():
-    with LockStep(servo_params(), board_params()) as stack:
-        enable(stack, FIG_4)
-        perturbed(stack)
-        flown = as_records(stack.run(5000))
-    assert set(flown["state"]) == {State.ENABLED}
-    assert not flown["flags"].any()
-    expected = flown["stiffness_force_n"] + flown["virtual_damping_force_n"] + flown["mass_force_n"]
-    assert np.abs(flown["force_n"] - expected).max() <= 0.5 * 8.0 / 32767 * 1.0001
-    assert np.allclose(flown["stiffness_force_n"], -100.0 * flown["position_m"], rtol=1e-12, atol=0)
-    assert 1e-5 < np.abs(flown["position_m"]).max() < 5e-3
-
-
 def test_free_decay_shows_the_damping_that_was_commanded():
     """After a push the velocity decays with m / (b + b_el): measured within 1 %, no virtual
     environment.

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from support.gateway_rig import decoded, packed
-from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
+from support.guard_stages import STIFF, Flight
 
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import State
@@ -216,19 +216,6 @@ def test_an_enable_of_a_holder_that_has_failed_does_not_come(flight: Flight) -> 
     assert not flight.fly(50)["state"].any()
 
 
-@pytest.mark.parametrize("policy", ["warn", "refuse"])
-def test_a_client_that_fails_ends_the_stages_after_the_one_with_the_servo(
-    flight: Flight, policy: str
-) -> None:
-    enabled(flight, policy)
-    assert flight.ask(cmd="lease", what="environment", at_end="zero")["ok"]
-    flight.fly(5)
-    send(flight, {"cmd": "set", **STIFF, "active_damping": LEVEL_NS_PER_M})
-    until_posted(flight)
-    send(flight, {"cmd": "lease", "what": "environment", "action": "fail"})
-    assert not flight.fly(500)["stiffness_n_per_m"].any()
-
-
 # --- schedules ------------------------------------------------------------------------------------
 
 
@@ -253,21 +240,6 @@ def test_what_the_servo_has_not_taken_ends_with_the_terms_it_was_posted_under(
     flight.fly(100)
     assert flight.view.state is (State.ENABLED if asked["cmd"] == "set" else State.DISABLED)
     assert flight.guard.in_force.target().empty
-
-
-def test_terms_of_a_new_gateway_are_never_those_of_a_former_one(flight: Flight) -> None:
-    """The former one has had more terms than milliseconds."""
-    former = set()
-    for _ in range(500):
-        for policy in ("clamp", "refuse"):
-            assert flight.ask(cmd="guard", policy=policy)["ok"]
-            former.add(flight.guard.terms_number)
-    assert len(former) == 1000
-    flight.another_gateway()
-    for policy in ("clamp", "refuse") * 50:
-        flight.fly(1)
-        assert flight.ask(cmd="guard", policy=policy)["ok"]
-        assert flight.guard.terms_number not in former
 
 
 def test_an_end_brings_nothing_back_once_its_clients_lease_ended_at_zero(flight: Flight) -> None:
@@ -306,73 +278,6 @@ def test_bounded_changes_that_overlap_bring_no_push_back(flight: Flight) -> None
     assert [rendered[at + after] for after in (50, 150, 250, 350)] == [30.0, 20.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_the_end_of_a_change_that_begins_as_it_is_taken_is_judged_too(
-    flight: Flight, late: bool
-) -> None:
-    """Its tick is that in which the servo takes it, so that it is never scheduled."""
-    rendering(flight, "refuse")
-    at = flight.view.tick + 50
-    send(flight, {"cmd": "set", **NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 900})
-    until_posted(flight)
-    if late:
-        take = flight.stack.mailbox.take
-        flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
-        flight.stack.run(at - flight.view.tick - 1)
-        flight.stack.mailbox.take = take  # type: ignore[method-assign]
-    flight.fly(200)
-    assert flight.replies[0]["receipt"]["result"] == ("applied" if late else "scheduled")
-    assert flight.guard.in_force.target().empty
-    assert "error" in flight.ask(cmd="damping", value="off")
-    assert not stiff_without_damping(flight.fly(1500))
-
-
-def test_an_end_that_nobody_judged_brings_no_strength_back_later(flight: Flight) -> None:
-    """It would weaken what is rendered when the policy is strict again, but not at its tick."""
-    rendering(flight, "refuse")
-    assert flight.ask(cmd="lease", what="measuring")["ok"]
-    at = flight.view.tick + 50
-    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1500}
-    assert flight.ask(cmd="set", **asked)["receipt"]["result"] == "scheduled"
-    flight.fly(100)
-    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
-    flight.fly(5)
-    assert flight.ask(cmd="set", **NOTHING)["ok"]
-    flight.fly(100)
-    assert flight.ask(cmd="damping", value="off")["ok"]
-    assert not stiff_without_damping(flight.fly(2000))
-
-
-def test_an_end_that_a_new_gateway_does_not_know_takes_no_damping_away_later(
-    flight: Flight,
-) -> None:
-    enabled(flight, "refuse")
-    at = flight.view.tick + 20
-    bounded = {"active_damping": LEVEL_NS_PER_M, "at_tick": at, "until_tick": at + 2000}
-    assert flight.ask(cmd="set", **bounded)["ok"]
-    flight.fly(100)
-    flight.another_gateway()
-    flight.fly(700)
-    flight.ask(cmd="set", **STIFF)
-    assert not stiff_without_damping(flight.fly(2500))
-
-
-@pytest.mark.parametrize("policy", ["off", "warn"])
-@pytest.mark.parametrize("other", [{}, {"cmd": "damping", "value": "off"}])
-def test_an_end_of_a_strict_client_raises_nothing_once_another_has_changed_what_it_was_judged_for(
-    flight: Flight, policy: str, other: dict[str, Any]
-) -> None:
-    rendering(flight, policy)
-    at = flight.view.tick + 50
-    bounded = {**NOTHING, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 700}
-    assert flight.ask(cmd="set", **bounded, strict=True)["ok"]
-    flight.fly(200)
-    send(flight, *filter(None, [other]), client=b"b")
-    records = flight.fly(1000)
-    assert not stiff_without_damping(records)
-    assert records["stiffness_n_per_m"][-1] == (0.0 if other else STIFF["K"])
-
-
 @pytest.mark.parametrize("policy", ["off", "warn"])
 def test_a_push_of_a_strict_client_ends_whatever_another_has_changed(
     flight: Flight, policy: str
@@ -384,35 +289,3 @@ def test_a_push_of_a_strict_client_ends_whatever_another_has_changed(
     flight.fly(100)
     send(flight, {"cmd": "set", "M": 0.001}, client=b"b")
     assert flight.fly(400)["stiffness_n_per_m"][-1] == 0.0
-
-
-def test_force_0_is_not_refused_for_what_an_end_brings_back_and_the_end_does_not_come(
-    flight: Flight,
-) -> None:
-    """The end was judged before its damping went, under a lease of measuring."""
-    rendering(flight, "refuse")
-    at = flight.view.tick + 50
-    asked = {"K": STIFF["K"] + 5.0, "ramp_s": 0.0, "at_tick": at, "until_tick": at + 1000}
-    assert flight.ask(cmd="set", **asked)["ok"]
-    flight.fly(100)
-    assert flight.ask(cmd="lease", what="measuring")["ok"]
-    assert flight.ask(cmd="set", K=STIFF["K"] + 20.0, ramp_s=0.0)["ok"]
-    assert flight.ask(cmd="damping", value="off")["ok"]
-    assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
-    flight.fly(5)
-    assert flight.ask(cmd="set", **NOTHING)["ok"]
-    flight.fly(100)
-    assert not stiff_without_damping(flight.fly(1000))
-
-
-def test_an_end_of_a_former_gateway_brings_nothing_back_later(flight: Flight) -> None:
-    """It would weaken what is rendered when the gateway is replaced, but not at its tick."""
-    enabled(flight, "refuse")
-    assert flight.ask(cmd="set", K=20.0)["ok"]
-    at = flight.view.tick + 20
-    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 1500)["ok"]
-    flight.fly(50)
-    flight.another_gateway()
-    flight.fly(650)
-    assert flight.ask(cmd="set", K=0.0)["ok"]
-    assert flight.fly(1200)["stiffness_n_per_m"][-1] == 0.0

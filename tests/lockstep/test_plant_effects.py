@@ -6,8 +6,6 @@ from math import tau
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support.plant_devices import FULL, alpha, state_index, weir_device
 from support.straight import Straight
 
@@ -98,36 +96,6 @@ def test_corners_far_away_are_plain_damping_or_none(hz):
     assert abs(added(ideal(highpass_hz=1e6), hz)) < 2e-4
     assert abs(added(ideal(lowpass_hz=1e-6), hz)) < 1e-5
     assert added(ideal(), hz) == pytest.approx(LEVEL, rel=1e-9)
-
-
-@given(
-    st.floats(0.01, 2000.0),
-    st.sampled_from([0.0, 0.3, 7.0, 90.0, 1e3]),
-    st.sampled_from([0.0, 0.5, 12.0, 200.0, 5e3]),
-)
-def test_shaped_damper_alone_is_passive(hz, highpass_hz, lowpass_hz):
-    """And Re Z is what the closed forms of the module say."""
-    w = tau * hz
-    low = tau * highpass_hz
-    high = tau * lowpass_hz
-    z = shaped_impedance(LEVEL, hz, highpass_hz, lowpass_hz)
-    if low and high:
-        real = (
-            LEVEL
-            * high
-            * w**2
-            * (low + high)
-            / ((low * high - w**2) ** 2 + w**2 * (low + high) ** 2)
-        )
-    else:
-        real = (
-            LEVEL
-            * (w**2 / (w**2 + low**2) if low else 1.0)
-            * (high**2 / (w**2 + high**2) if high else 1.0)
-        )
-    assert z.real == pytest.approx(real, rel=1e-9)
-    assert z.real > 0.0
-    assert added(ideal(highpass_hz, lowpass_hz), hz).real == pytest.approx(real, rel=1e-6, abs=1e-9)
 
 
 def test_lowpass_beside_the_circuits_own_lag_is_active_above_their_geometric_mean():

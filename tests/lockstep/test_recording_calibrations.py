@@ -162,9 +162,3 @@ def test_without_a_certificate_nothing_is_told(certified, tmp_path):
     assert certificate_of(to_plain(dated())) is None
     next((tmp_path / "rig").iterdir()).write_text("{}")
     assert certificate_of(to_plain(certified)) is None
-
-
-def test_trial_carries_the_certificate(certified):
-    with LockStepClient(certified, board_params()) as bench:
-        recorded = daemon_source(bench, uncalibrated=True)(TRIAL)
-    assert recorded.more["certificate"]["verdict"] == "verified"

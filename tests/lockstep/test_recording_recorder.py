@@ -15,7 +15,6 @@ from hapticd.recording import pack, recorder
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.run import replay
 
 
 def test_seconds_are_recorded_time(recorded_run: RecordedFlight, tmp_path: Path) -> None:
@@ -197,25 +196,6 @@ def test_gap_is_stored_and_said(recorded_run: RecordedFlight, tmp_path: Path) ->
         assert tick[row] - tick[row - 1] - 1 == lost
         first, second = recording.stretches()
         assert (first[1], second[0]) == (row, row)
-
-
-def test_another_servo_life_is_no_gap(recorded_run: RecordedFlight, tmp_path: Path) -> None:
-    clock = VirtualClock(NS_PER_S)
-    source = Source(recorded_run, clock)
-    for topic, payload in recorded_run.messages[:200]:
-        content = msgpack.unpackb(payload, strict_map_key=False)
-        if topic != "event":
-            source.played.append((topic, msgpack.packb(content | {"epoch": 99})))
-    result = record(
-        source, RecordingParams(tmp_path / "lives.h5"), lambda: False, clock=clock, free_bytes=room
-    )
-    assert (result["lives"], result["missing"]["servo"]) == (2, 0)
-    with open_recording(tmp_path / "lives.h5") as recording:
-        assert len(recording.segments()) == 2
-        assert all(
-            replay.difference(one.records, replay.replay(recording.params, one)) is None
-            for one in recording.segments()
-        )
 
 
 def test_write_error_ends_it_with_the_remedy(

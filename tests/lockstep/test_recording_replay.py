@@ -9,7 +9,6 @@ from support.recorded import RecordedFlight, recorded_into
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import open_recording, replay_recording
-from hapticd.zwidth.report.trial import replay_figure
 
 
 def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
@@ -31,14 +30,6 @@ def test_ticks_before_the_first_checkpoint_are_counted(recording_file: Path) -> 
         result = replay_recording(recording)
         ticks = recording.column("servo", "tick")
     assert result.left_out == int(np.searchsorted(ticks, result.recorded["tick"][0])) > 0
-
-
-def test_both_forces_are_seen_where_they_are_equal(recording_file: Path) -> None:
-    with open_recording(recording_file) as recording:
-        figure = replay_figure(replay_recording(recording), "title")
-    below, above = figure.axes[1].lines[:2]
-    assert below.get_linewidth() > 2 * above.get_linewidth()
-    assert below.get_color() != above.get_color()
 
 
 def test_short_recording_has_nothing_to_replay(

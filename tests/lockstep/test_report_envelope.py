@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies, run_trials
+from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies
 from hapticd.zwidth.report.envelope import envelope_figure, weightiest
-from hapticd.zwidth.report.style import OFF, PARTS, PREDICTED
+from hapticd.zwidth.report.style import PARTS
 from hapticd.zwidth.sources import noise
 
 pytest.importorskip("matplotlib")
@@ -57,21 +57,6 @@ def test_envelope_as_admittance_exchanges_its_edges():
     assert np.allclose(edges[0][0] / edges[0][1], 3.0)
     assert "as admittance" in y.get_suptitle()
     assert "as admittance" not in z.get_suptitle()
-
-
-def test_envelope_draws_what_is_predicted_of_the_same_trials():
-    """Affine device: the prediction of one trial is its impedance."""
-    scene = load_scene("theory")
-    figure = envelope_figure(
-        Conditions(scene, 90.0, noise(scene)),
-        [(0.0, run_trials(Conditions(scene, 20.0), 0.0, np.zeros((1, 3))))],
-    )
-    measured = figure.axes[0].lines[0]
-    predicted = figure.axes[0].lines[2]
-    inside = measured.get_xdata() < 300.0
-    expected = np.interp(measured.get_xdata(), predicted.get_xdata(), predicted.get_ydata())
-    assert np.allclose(measured.get_ydata()[inside], expected[inside], rtol=0.05)
-    assert (measured.get_color(), predicted.get_color()) == (OFF["color"], PREDICTED["color"])
 
 
 def outcome(environment, passes=True, answer="passive", scale=1.0):

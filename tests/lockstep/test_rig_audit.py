@@ -4,10 +4,8 @@ the winding, against the closed form alpha = 1 / (1 + g dR / K^2).
 
 from math import pi, sin
 
-import pytest
 from support.rig_hand import Hand
 
-from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
 from hapticd.model.compose import board_fields, compose_device
@@ -79,10 +77,3 @@ def test_trim_takes_the_resistance_dac_of_the_board():
         result = measure_residual(hand.bench, hand.ask)
     assert result.findings[0].verdict == "not done"
     assert "resistance DAC" in result.findings[0].what
-
-
-@pytest.mark.parametrize("step", [measure_delivery, measure_residual])
-def test_both_wait_for_the_signs(step):
-    unseen = Moving(FILE | {"commissioning": True}, **board(0.0))
-    with unseen as hand, pytest.raises(AnalysisError, match="signs"):
-        step(hand.bench, hand.ask)

@@ -2,16 +2,11 @@
 
 import numpy as np
 import pytest
-from support.rig_balance import FACTS, runs_of
-from support.shaken_handle import Truth, shaken
 
 from hapticd.core.errors import AnalysisError
-from hapticd.rig.excitation import noise
 from hapticd.rig.experiment import PerturbationRun
-from hapticd.rig.steps import force_balance as balance
 from hapticd.rig.steps.force_balance import fit_rigid_mass
-from hapticd.rig.steps.force_terms import Clock, Handle, clocked, commanded, friction
-from hapticd.rig.steps.identify import analyse
+from hapticd.rig.steps.force_terms import Clock, Handle, commanded, friction
 
 
 def staircase(force_n, at_us):
@@ -66,25 +61,7 @@ def test_friction_turns_where_the_velocity_does():
     assert found[2] == pytest.approx(1.0 - 2.0 * stop / 250e-6, abs=0.05)
 
 
-def test_the_probes_clock_is_found_by_the_motion():
-    run = shaken(Truth(), noise(8.0, 0.7, 1), 20.0, 0.3, 0)
-    late = PerturbationRun(run.board_us + 90.0, *list(vars(run).values())[1:])
-    found = clocked(late)
-    assert found.phase_us == pytest.approx(90.0, abs=0.5)
-    assert found.gain == pytest.approx(1.0, abs=2e-3)
-
-
 def test_nothing_moves_is_said():
     still = staircase(np.zeros(12_000), np.zeros(12_000))
     with pytest.raises(AnalysisError, match="nothing moved"):
         fit_rigid_mass([still])
-
-
-def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
-    monkeypatch.setattr(balance, "FIRST_ROUNDS", 1)
-    monkeypatch.setattr(balance, "ROUNDS", 1)
-    result = analyse(runs_of(Truth()), FACTS)
-    assert not result.settled
-    assert not result.values
-    assert not result.changes
-    assert "not settled" in result.findings[0].what

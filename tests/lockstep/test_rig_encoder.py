@@ -8,7 +8,7 @@ from support.models import COUNT_M
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError
-from hapticd.rig.steps.encoder import Distance, analyse, measure, passages, scale_of
+from hapticd.rig.steps.encoder import Distance, analyse, measure, passages
 from hapticd.usb import frames
 
 DISTANCE = Distance(0.01, 10e-6)
@@ -42,16 +42,6 @@ def test_a_distance_typed_ten_times_wrong_is_refused():
     result = analyse(arrays(steps=np.full(3, 20_000.0)), Distance(0.1), COUNT_M)
     assert not result.settled
     assert not result.changes
-
-
-def test_the_scale_lies_in_its_interval_nineteen_times_in_twenty():
-    random = np.random.default_rng(11)
-    inside = 0
-    for _ in range(1000):
-        steps = (0.01 + 5e-6 * random.standard_normal(3)) / COUNT_M
-        scale = scale_of(steps, Distance(0.01, 1e-12))
-        inside += scale.low <= COUNT_M <= scale.high
-    assert 930 <= inside <= 970
 
 
 def test_an_index_mark_is_found_and_written_where_homing_uses_it():

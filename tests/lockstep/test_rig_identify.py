@@ -23,29 +23,6 @@ def test_a_servo_that_is_enabled_is_left_alone():
         assert rig.status().state == "enabled"
 
 
-@pytest.mark.parametrize("way", ["fault", "interrupt"])
-def test_whatever_ends_it_leaves_no_force(way):
-    """The amplifier fails, or somebody presses Ctrl-C, while the handle is shaken."""
-    with bench() as rig:
-        started = rig.perturb_start
-
-        def start(loop=False):
-            receipt = started(loop)
-            if way == "interrupt":
-                raise KeyboardInterrupt
-            rig.stop()
-            return receipt
-
-        rig.perturb_start = start
-        with pytest.raises((AnalysisError, KeyboardInterrupt)):
-            measure(rig, nothing)
-        assert rig.status().state != "enabled"
-        rig.run(100)
-        assert float(rig.newest["force_n"]) == 0.0
-        assert not rig.newest["perturbing"]
-        assert not rig._leases
-
-
 def test_the_lever_of_the_motor_is_written_with_its_torque():
     motor = {"motor_n_per_a": 1.65, "winding_ohm": 1.6, "motor_lever_m": 0.02}
     servo = servo_params(device=replace(device_params(), **motor))

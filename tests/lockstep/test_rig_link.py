@@ -46,24 +46,6 @@ def test_a_board_whose_watchdog_does_not_work_is_asked_once_and_refused():
     assert not result.settled
 
 
-def test_a_board_that_drops_its_damping_with_the_torque_is_refused():
-    def dropping(axis):
-        held = axis._fail_safe
-
-        class Dropping(type(axis)):
-            __slots__ = ()
-
-            def _fail_safe(self):
-                held()
-                self._damp(0)
-
-        axis.__class__ = Dropping
-
-    result, _, _ = watched(change=dropping)
-    assert any("held for 2 s" in one.remedy for one in result.findings)
-    assert not result.settled
-
-
 def test_a_watchdog_of_seconds_is_not_waited_for():
     result, _, _ = watched(2000.0)
     (found,) = [one for one in result.findings if one.what.startswith("watchdog")]

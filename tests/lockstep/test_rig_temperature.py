@@ -138,21 +138,6 @@ def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
     assert not result.changes
 
 
-def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
-    asked = []
-    with Hand() as hand:
-        result = measure_temperature(
-            hand.bench, lambda one: asked.append(one.action), KnownTemperatures((295.0,))
-        )
-    assert "degC" in refused(result)[0].what
-    assert asked == ["let go"]
-
-
-def test_a_board_without_the_sensor_is_told_so():
-    with Hand(lacks=("temperature",)) as hand, pytest.raises(AnalysisError, match="no temperature"):
-        measure_temperature(hand.bench, hand.ask, KnownTemperatures((22.0,)))
-
-
 @pytest.mark.parametrize("celsius", [(), (20.0, 21.0), (20.0, 40.0, 60.0)])
 def test_temperatures_that_tell_no_line_are_refused_before_anything(celsius):
     with Hand() as hand, pytest.raises(AnalysisError, match="temperatures"):

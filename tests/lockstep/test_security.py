@@ -20,11 +20,6 @@ def calls(*names: str) -> list[tuple[str, ast.Call]]:
     ]
 
 
-def test_text_is_made_a_program_in_one_place() -> None:
-    """Of numbers that a device file was read into, and of nothing in its own words."""
-    assert [place for place, _ in calls("eval", "exec")] == ["model/composed.py"]
-
-
 def test_no_shell_reads_what_a_program_is_started_with() -> None:
     shells = [
         f"{place}: {ast.unparse(node)}"

@@ -6,7 +6,7 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import InjectionParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
 from hapticd.run import lockstep
@@ -76,18 +76,6 @@ def test_a_bus_that_is_fast_enough_is_used_after_the_next_measurement(monkeypatc
     assert set(ticks["state"]) == {State.ENABLED}
     assert ticks["lost_slots"][-1] == 0
     assert set(ticks["delay_us"][10:]) == {625}
-
-
-def test_a_board_that_comes_back_is_measured_though_that_fails_at_first(monkeypatch):
-    away = (InjectionParams("unplug", tick=200, value=0.05),)
-    failing(monkeypatch, Request.SAMPLE_PHASE, range(1, 8))
-    with LockStep(servo_params(usb=IN_TURN), far_board(400.0, injections=away)) as stack:
-        stack.run(500)
-        stack.do(Command.RESET)
-        assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
-        stack.run(6000)
-        assert stack.do(Command.ENABLE).result is Result.APPLIED
-        assert set(as_records(stack.run(500))["state"]) == {State.ENABLED}
 
 
 def uneven(monkeypatch, share_quick):

@@ -15,12 +15,10 @@ from support.models import servo_params
 from support.servo_compensation import ABLE, CEILING, COUNT_A, COUNT_OHM, Warm, copper, params
 from support.winding_table import TABLE
 
-from benchmarks.thermal import RECORD, device
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ScaleParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
-from hapticd.run.lockstep import LockStep
 from hapticd.servo.compensation import compensated
 from hapticd.servo.connection import uncompensated
 from hapticd.servo.plan import (
@@ -33,7 +31,6 @@ from hapticd.servo.plan import (
 from hapticd.servo.step import make_step
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.usb import codec
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import Capability
 
@@ -53,17 +50,6 @@ def trim(flight: Flight) -> float:
 # --- the claim ------------------------------------------------------------------------------------
 
 
-def test_count_that_is_recorded_is_the_one_on_the_wire_to_the_last_frame():
-    with LockStep(*device()) as stack:
-        ticks = np.frombuffer(stack.run(1500), dtype=RECORD)
-        sent = [codec.decode_out(bytes(one)).resistance for one in ticks["out_frame"]]
-        assert sent == ticks["resistance_count"].tolist()
-        assert sent[-1] > 2000
-        axis = stack.backend._port._axis
-        held = axis.resistance_count
-    assert axis.resistance_count == held  # as the damping, that the board's watchdog then holds
-
-
 # --- from below -----------------------------------------------------------------------------------
 
 
@@ -81,21 +67,6 @@ def test_sensor_stuck_at_80_degc_over_a_cold_winding_never_over_compensates_by_a
         warm.look(0.0, sensor_c=80.0)
     assert warm.celsius == pytest.approx(20.0)
     assert warm.nearest > -0.1
-
-
-def test_lying_sensor_never_brings_the_loop_below_minus_0_3():
-    """A sensor that reads as hot as it can, stuck or jumping, and any current that switches."""
-    random = Random(7)
-    nearest = []
-    for _ in range(100):
-        warm = Warm(params(model_error=0.1), 7.2, 9.0, 15.0)
-        for step in range(400):
-            if step % 40 == 0:
-                ampere = random.choice((0.0, 3.0, 3.8))
-                sensor_c = random.choice((119.0, 119.0, 20.0, -300.0))
-            warm.look(ampere, sensor_c=sensor_c)
-        nearest.append(warm.nearest)
-    assert -0.3001 < min(nearest) < -0.2
 
 
 @pytest.mark.parametrize("ampere", [2.3, 2.6, 3.0])

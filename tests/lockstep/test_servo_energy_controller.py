@@ -6,7 +6,6 @@ damping x int v^2 dt - what changes brought in.
 
 import json
 import math
-from itertools import product
 
 import numpy as np
 import pytest
@@ -42,18 +41,6 @@ def test_without_the_controller_it_diverges(lag_hz, delay, hand):
     free = against_a_wall(False, 0, lag_hz, delay, hand, ticks=2000)
     assert max(free.leaks) > 4.0 * BALANCE_J
     assert any(flags & Flag.CLAMPED for flags in free.flags)
-
-
-@pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
-def test_device_without_active_damping_gives_up_stiffness(delay, hand):
-    """Its ceiling is 0: the cut comes at once."""
-    for seed in range(2):
-        held = against_a_wall(
-            True, seed, 0.0, delay, hand, damps=False, active_damping_limit_ns_per_m=0.0
-        )
-        assert held.plan.state is State.ENABLED
-        assert max(held.leaks) <= BALANCE_J
-        assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, 0.0)
 
 
 @pytest.mark.parametrize(("lag_hz", "delay", "hand"), CASES)

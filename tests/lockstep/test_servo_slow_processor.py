@@ -74,8 +74,3 @@ def test_rate_that_the_servo_names_leaves_a_quarter_of_the_period(slowness: floa
     assert causes(records).total() <= RARE * len(records)
     taken_us = sum(records[f"{stage}_ns"] for stage in STAGES[1:]) / 1000.0
     assert np.median(taken_us) <= (1.0 - LEFT) * 1.02e6 / rate_hz
-
-
-def test_slow_processor_is_warned_of_where_less_than_a_quarter_is_left() -> None:
-    assert not room(ticked(4000.0, 8.0), 4000.0).short
-    assert room(ticked(8000.0, 6.0), 8000.0).short

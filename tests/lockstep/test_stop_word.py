@@ -4,7 +4,6 @@ stopped, its process lives, and the word works again.
 
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -142,15 +141,6 @@ def test_servo_serves_again_after_mischief_and_the_word_stops_again(
     found = (folder / files.STOP).lstat()
     assert (stat.S_ISREG(found.st_mode), stat.S_IMODE(found.st_mode)) == (True, MODE)
     assert found.st_size == len(NOT_PRESSED)
-
-
-def test_word_that_cannot_be_mended_stays_a_stop(stack: LockStep) -> None:
-    made_a_folder(stack.mailbox.folder / files.STOP)
-    for _ in range(5):
-        assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
-        assert stack.do(Command.RESET).result is Result.REFUSED_OWNER  # it is pressed all the time
-    assert states(stack, MENDED_TICKS + 1)[-1] == State.STOPPED
-    shutil.rmtree(stack.mailbox.folder / files.STOP)
 
 
 def test_word_that_cannot_be_taken_back_stays_a_stop(

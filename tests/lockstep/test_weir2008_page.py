@@ -5,7 +5,6 @@ nothing when it is interrupted.
 import importlib.util
 import json
 import re
-import subprocess
 from pathlib import Path
 from types import ModuleType
 
@@ -45,20 +44,6 @@ def test_interrupted_run_keeps_nothing(
     assert program.main(["--out", str(tmp_path / "x")]) == 130
     assert "interrupted: no result of this run was stored" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "folder"), [("", "build/reproduction"), ("--quick", "build/reproduction-quick")]
-)
-def test_make_keeps_quick_runs_apart(words: str, folder: str) -> None:
-    planned = subprocess.run(
-        ["make", "--dry-run", "reproduce", f"ARGS={words}"],
-        cwd=DOCS.parent,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert f"python -m examples.weir2008 --out {folder} {words}\n" in planned.stdout
 
 
 def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:

@@ -68,15 +68,6 @@ def with_ticks(stack: LockStep) -> None:
     stack.mailbox.publish_head(0, stack.loop.tick)
 
 
-def test_flight_is_the_same_where_ticks_need_33_bits() -> None:
-    here = flown()
-    there = flown(with_ticks)
-    same(here, there, "tick", "slot", "tail")
-    for name in ("tick", "slot", "tail"):
-        assert set(there[name] - here[name]) == {WORD - BEFORE}
-    assert there["tick"][0] < WORD < there["tick"][-1]
-
-
 def with_revisions(stack: LockStep) -> None:
     """Of what is asked, and of the environment: a few changes before they wrap."""
     settled = stack.loop.state[SETTLED]

@@ -304,23 +304,6 @@ def stand_in(conditions: Conditions, level: float, points: Any) -> list[Outcome]
     return found
 
 
-def test_given_up_limits_cancel_what_has_not_begun() -> None:
-    pool = FirstOnly()
-    heard = []
-
-    def hear(scan: Any, conditions: Conditions, new: list[Outcome]) -> None:
-        heard.append(scan)
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_limits(limits(), TrialStore(None), executor=pool, on_outcomes=hear)
-    assert heard == [limits().scans[0]]
-    assert (
-        len(pool.futures) == 6
-    )  # each of the six limits its first round; outcomes are told before the next one
-    assert all(future.cancelled() for future in pool.futures[1:])
-
-
 def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[str, int]] = []
     one_by_one = run_limits(limits(), TrialStore(None), executor=StandIn(stand_in))

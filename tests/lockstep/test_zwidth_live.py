@@ -70,25 +70,6 @@ class Looped(LockStepClient):
         super().perturb_start(loop)
 
 
-@pytest.mark.parametrize(
-    ("waveform_n", "looped"), [(None, False), (0.1 * np.sin(np.arange(4096)), True)]
-)
-def test_waveform_that_is_long_enough_ends_by_itself(rigid, waveform_n, looped):
-    """A client that is killed leaves nothing that shakes for ever."""
-    with Looped(*scene_params(rigid)) as bench:
-        daemon_source(bench)(
-            Trial((100.0, 1.0, 0.0), seconds=2.0, waveform_n=waveform_n),
-            lambda what, done, total: None,
-        )
-        assert bench.looped is looped
-
-
-def test_trial_that_someone_ends_says_so(rigid):
-    found = flown(rigid, lambda bench: bench.disable())
-    assert str(found.recorded.ended) == "disabled: another client ended it"
-    assert found.recorded.ended.reason is EndReason.DISABLED
-
-
 def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
     class Stubborn(LockStepClient):
         def perturb_stop(self):

@@ -169,18 +169,6 @@ def test_map_goes_on_where_it_was_interrupted(tmp_path):
     )
 
 
-def test_midpoint_that_passes_moves_the_limit():
-    """At K = M = 0 the set ends at B = 2.18 N s/m: the midpoint of 1 and 3 passes."""
-    axes = (np.array([0.0, 100.0]), np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.0005]))
-    coarse = plan_map(MapParams(conditions(seconds=60.0), axes, (0.0,), everywhere=True))
-    finer = replace(coarse, params=replace(coarse.params, refine=1))
-    store = TrialStore(None)
-    limits = [
-        run_map(plan, store).levels[0].found.limits().virtual_damping[1] for plan in (coarse, finer)
-    ]
-    assert limits == [1.0, 2.0]
-
-
 def test_wall_boundary_is_the_last_stable_impact():
     """A wall that is stable stays so for softer ones; active damping makes stiffer ones stable
     (Weir 2008, Fig. 2).

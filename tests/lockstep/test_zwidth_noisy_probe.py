@@ -23,19 +23,6 @@ def recorded(points: Floats, dtype: str = "f32", seed: int = 5) -> BatchResult:
     )
 
 
-@pytest.mark.parametrize("dtype", ["f32", "f64"])
-def test_a_record_is_the_same_alone_and_in_any_lane(dtype: str) -> None:
-    whole = recorded(POINTS, dtype).velocity_m_per_s
-    turned = recorded(POINTS[::-1], dtype).velocity_m_per_s
-    assert whole is not None
-    assert turned is not None
-    assert np.array_equal(turned[::-1], whole)
-    for place, point in enumerate(POINTS):
-        alone = recorded(point[None], dtype).velocity_m_per_s
-        assert alone is not None
-        assert np.array_equal(alone[0], whole[place])
-
-
 def test_trials_and_seeds_have_noise_of_their_own() -> None:
     bare = scene(PARTS, seconds=SECONDS)
 

@@ -420,25 +420,6 @@ def test_linear_display_that_is_pushed_hard_is_stable(rigid, stronger):
     assert (found.verdict.answer, found.verdict.stability) == ("passive", "stable")
 
 
-@pytest.mark.parametrize(
-    ("scene", "environment"),
-    [
-        ("fig4", (4000.0, 0.0, 0.0)),
-        ("fig4", (0.0, 12.0, 0.0)),
-        ("fig4", (0.0, 0.0, 0.06)),
-        ("rival", (3000.0, 0.0, 0.0)),
-    ],
-)
-def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scene, environment):
-    """Nothing grows any more; what moves the device is not the perturbation."""
-    trial = Trial(environment, seconds=20.0)
-    found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(scene)))
-    assert str(found.recorded.ended).startswith(
-        "escape: the command reached its limit of 8 N in a motion of its own"
-    )
-    assert found.verdict.answer == "not_passive"
-
-
 def test_device_faster_than_its_own_limit_has_escaped():
     force, velocity = mass_record(3.0)
     speed = float(np.std(velocity))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hapticd
-from hapticd.client import CommandError, step
+from hapticd.client import CommandError
 from hapticd.client.design import Condition, Table
 from hapticd.core.params import AtEnd
 from hapticd.run.virtual import VirtualBoard
@@ -94,21 +94,6 @@ def test_a_condition_that_nobody_feels_is_no_row(board: VirtualBoard, tmp_path: 
         board.stop()
         table.begin(board.set(**soft.settings), soft)
     assert len(path.read_text().splitlines()) == 2  # the header, and what was felt
-
-
-def test_a_sequence_acts_at_its_ticks(board: VirtualBoard) -> None:
-    steps = [
-        step("damping", value="on"),
-        step("enable", after_s=0.5),
-        step("set", K=100, after_s=0.5),
-        step("damping", value="off", after_s=1.0),
-        step("disable", after_s=1.0),
-    ]
-    done = board.sequence(steps)
-    assert all(one.acted for one in done)
-    ticks = [one.tick for one in done]
-    assert np.diff(ticks)[1:3].tolist() == [500, 1000]
-    assert len({one.revision for one in done}) == len(done)
 
 
 def test_asyncio_has_the_same_board(board: VirtualBoard) -> None:
