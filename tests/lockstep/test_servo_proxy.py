@@ -15,10 +15,13 @@ from support.recorded import RecordedFlight
 
 from hapticd.core.params import SafetyParams, ServoParams
 from hapticd.mailbox.layout import Command, Flag, State, Value
+from hapticd.protocol.view import as_records, samples
 from hapticd.run import replay
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.energy import spring_energy
 from hapticd.servo.plan import flatten, unflatten
 from hapticd.servo.samples import believed_bend_m
+from hapticd.signal.ledger import book
 
 SAFETY = SafetyParams()
 TIMEOUT = round(SAFETY.proxy_timeout_s * RATE_HZ)
@@ -287,6 +290,36 @@ def test_recording_with_a_proxy_replays_to_the_bit() -> None:
         assert replay.difference(leg.records, replay.replay(flight.params, leg)) is None
         without = leg._replace(requests=[o for o in leg.requests if o.kind != Command.PROXY])
         assert replay.difference(leg.records, replay.replay(flight.params, without)) is not None
+
+
+def test_ledger_books_the_motion_of_the_proxy_apart_from_the_spring() -> None:
+    params = servo_params(environment=with_range().environment)
+    board = board_params(lower_stop_m=-0.03, upper_stop_m=0.03, viscous_ns_per_m=2.0)
+    with LockStep(params, board) as stack:
+        stack.run(5)
+        stack.do(Command.SET, {Value.LEASE_CONTROL: float(OWNER)})
+        stack.do(Command.ENABLE)
+        stack.run(510)
+        for number in range(40):
+            target = 0.01 * np.sin(0.15 * number)
+            stack.command(Command.PROXY, {Value.PROXY: target}, actor=OWNER)
+            stack.run(10)
+        records = as_records(b"".join(stack.blocks))
+        rows = np.flatnonzero(records["flags"] & Flag.MISSING_IN == 0)
+        table = samples(records, rows, params)
+    booked, _ = book(table, 1.0 / RATE_HZ)
+    bent_m = records["position_m"][rows] - records["proxy_m"][rows]
+    stiffness = records["gain"][rows] * records["stiffness_n_per_m"][rows]
+    stored_j = 0.5 * stiffness * bent_m**2
+    assert stored_j.max() > 1e-5
+    assert np.cumsum(booked["stiffness"]) == pytest.approx(stored_j[0] - stored_j, abs=1e-9)
+    given_j = table["stiffness_n"][1:] + table["stiffness_n"][:-1]
+    given_j = 0.5 * given_j * np.diff(records["proxy_m"][rows])
+    assert booked["ramp"][600:].sum() == pytest.approx(given_j[599:].sum(), abs=1e-9)
+    spring_j = 0.5 * (table["stiffness_n"][1:] + table["stiffness_n"][:-1])
+    spring_j = spring_j * np.diff(table["position_m"])
+    both_j = (booked["stiffness"] + booked["ramp"])[1:]
+    assert both_j == pytest.approx(spring_j, abs=1e-12)
 
 
 def test_checkpoint_contains_the_proxy() -> None:
