@@ -139,6 +139,10 @@ class AsyncConnection:
         """Sleep for `seconds`."""
         await asyncio.sleep(seconds)
 
+    def now_s(self) -> float:
+        """Return the time of the clock by which pauses pass."""
+        return time.monotonic()
+
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
         """Yield payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
         path = socket_file(self._folder, TELEMETRY_SOCKET)
@@ -218,6 +222,9 @@ class AsyncClient(
                 answer = await self._tried(exchange.send(answer))
         except StopIteration as end:
             return end.value  # type: ignore[no-any-return]  # what the generator returns
+
+    def _now_s(self) -> float:
+        return self._connection.now_s()
 
     async def _tried(self, due: Ask | Pause) -> Any:
         """Return the reply to a request, or its error; None after a pause."""

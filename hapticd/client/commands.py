@@ -362,8 +362,9 @@ class Commands(Generic[R, H, P, S, G, D, C]):
         """Let `law` move the proxy, `rate_hz` times a second; return the last `Coupling`.
 
         `law` gets a `Coupling` and returns the next position of the proxy [m], or None to end. It
-        ends after `duration_s` on the servo's clock, or never. CommandError if the lease or the
-        force ends; the proxy then stays where it is.
+        ends after `duration_s` on the servo's clock, or never. CommandError `invalid` for a rate
+        that is not above 0, and CommandError if the lease or the force ends. After its lease the
+        proxy stays where it is.
 
         >>> with device.lease("environment"):
         ...     device.follow_law(lambda felt: 0.0, duration_s=0.1).proxy_m

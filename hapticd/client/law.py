@@ -3,9 +3,11 @@
 At each step the law reads handle and proxy (`Coupling`), and returns where the proxy goes next. The
 servo keeps it within its bounds (`servo.proxy`). A law that is late skips steps.
 
-The spring gives `Coupling.force_n` to the law's own bodies. Between a step and its effect at the
-handle lies the delay t of the law, at least a period of it: a mass without any damping gains energy
-as from a damping of -K t. Give it at least K t of its own.
+The spring gives `Coupling.force_n` to the law's own bodies. The delay t from the handle to the
+proxy is 1.5 steps of the law and a tick. A mass without any damping gains energy as from a damping
+of -K t. Give it at least K t of its own.
+
+With `AsyncClient` the law runs in the event loop: keep it short.
 """
 
 from collections.abc import Callable
@@ -24,8 +26,11 @@ def followed(
 ) -> Exchange[Coupling]:
     """Run `law` at `rate_hz` for `duration_s`, or until it returns None; return the last Coupling.
 
-    A position that the servo could not take yet is left out: the next one replaces it.
+    A position that the servo could not take yet is left out: the next one replaces it. CommandError
+    `invalid` for a rate that is not above 0.
     """
+    if not rate_hz > 0.0:
+        raise CommandError("invalid", f"follow_law: rate_hz = {rate_hz:g} Hz must be above 0")
     due_s = now_s()
     first_s = None
     while True:

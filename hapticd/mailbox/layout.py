@@ -183,8 +183,8 @@ class Command(IntEnum):
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
     # set the terms of judgements; changes scheduled under other terms are cancelled
     TERMS = 14
-    PROXY = 16  # where the law of a client puts the proxy; not answered
     WITHDRAWN = 15  # in place of one that the gateway withdrew before the servo took it
+    PROXY = 16  # new position of the proxy; not answered
 
 
 class Value(IntEnum):

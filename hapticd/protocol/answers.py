@@ -218,11 +218,13 @@ class Coupling:
     tick: int = 0
     time_s: float = 0.0  #: since the servo started, lost periods included
     position_m: float = 0.0  #: of the handle
-    velocity_m_per_s: float = 0.0  #: of the handle, filtered
+    velocity_m_per_s: float = 0.0  #: of the handle, filtered; 0 unless `fresh`
     proxy_m: float = 0.0  #: position of the proxy
-    force_n: float = 0.0  #: of the spring on the proxy; the opposite acts on the handle
+    #: of the spring on the proxy, before the force limit; the opposite acts on the handle
+    force_n: float = 0.0
     stiffness_n_per_m: float = 0.0  #: of the spring, gain included
     held: bool = False  #: whether the proxy does not follow: late, no lease or no energy
+    fresh: bool = True  #: whether a sample arrived in this tick; else the position is the last one
 
 
 @dataclass(frozen=True, slots=True)

@@ -167,15 +167,18 @@ def receipt(answer: Answer) -> dict[str, Any]:
 
 def coupling(record: Mapping[str, Any], rate_hz: float) -> dict[str, Any]:
     """Return the reply to `proxy` (`answers.Coupling`) for a record."""
+    stiffness_n_per_m = float(record["gain"] * record["stiffness_n_per_m"])
+    bent_m = float(record["position_m"] - record["proxy_m"])
     return {
         "tick": int(record["tick"]),
         "time_s": int(record["slot"]) / rate_hz,
         "position_m": float(record["position_m"]),
         "velocity_m_per_s": float(record["velocity_m_per_s"]),
         "proxy_m": float(record["proxy_m"]),
-        "force_n": -float(record["stiffness_force_n"]),
-        "stiffness_n_per_m": float(record["gain"] * record["stiffness_n_per_m"]),
+        "force_n": stiffness_n_per_m * bent_m,
+        "stiffness_n_per_m": stiffness_n_per_m,
         "held": bool(record["flags"] & Flag.PROXY_HELD),
+        "fresh": not record["flags"] & Flag.MISSING_IN,
     }
 
 

@@ -375,6 +375,7 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     usable = records[rows]
     found = np.zeros(len(rows), SAMPLE)
     found["position_m"] = usable["position_m"]
+    found["proxy_m"] = usable["proxy_m"]
     for part in ("stiffness", "virtual_damping", "mass"):
         found[f"{part}_n"] = usable[f"{part}_force_n"]
     rate_hz = servo.realtime.rate_hz

@@ -68,6 +68,7 @@ __all__ = [
     "FORCE",
     "LIMIT",
     "MASS",
+    "STIFFNESS",
     "Biquad",
     "Coefficients",
     "LawInputs",
@@ -200,6 +201,7 @@ LawState = tuple[float, float, float, float, float, float]
 # attribute access here.
 LawInputs = tuple[float, ...]
 # indices into the inputs
+STIFFNESS: Final = 0
 MASS: Final = 2
 BIAS: Final = 3
 LIMIT: Final = 4

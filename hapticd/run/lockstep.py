@@ -36,15 +36,15 @@ from hapticd.core.params import (
     UsbParams,
     to_plain,
 )
-from hapticd.core.units import NS_PER_S, Clock, VirtualClock
+from hapticd.core.units import Clock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.protocol.answers import Receipt
-from hapticd.protocol.commands import ACCEPTED, Posting, coupling, posting, receipt
-from hapticd.protocol.leases import ENVIRONMENT, MEASURING
-from hapticd.protocol.schemas import ADAPTER, LeaseRequest, Proxy
+from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
+from hapticd.protocol.leases import MEASURING
+from hapticd.protocol.schemas import ADAPTER, LeaseRequest
 from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock
 from hapticd.protocol.view import as_records, configured
 from hapticd.run.servo_main import simulated_backend
@@ -239,8 +239,6 @@ class LockStepClient(Client):
         request = ADAPTER.validate_python({"cmd": cmd, **given})
         if isinstance(request, LeaseRequest):
             return {"state": self._known()["state"], "result": self._leased(request)}
-        if isinstance(request, Proxy):
-            return {"state": self._known()["state"], "result": self._coupled(request)}
         answer = self._do(posting(request, self._samples))
         self._effective = answer.effective
         if answer.result not in ACCEPTED:
@@ -265,25 +263,13 @@ class LockStepClient(Client):
             self.stack.do(Command.SET, values | {Value.LIMIT_CYCLE_FAULTS: float(faults)})
             self._leases = {MEASURING: {"actor": ALONE}} if held else {}
             self.run(1)
-        if request.what == ENVIRONMENT:
-            self.stack.do(Command.SET, {Value.LEASE_CONTROL: holder})
         return {"released": not held, "actor": ALONE, "ttl_s": request.ttl_s}
 
-    def _coupled(self, request: Proxy) -> dict[str, Any]:
-        """Post the position of a proxy, if there is one; return handle and proxy."""
-        if not request.reads:
-            if self.newest["state"] != State.ENABLED:
-                raise CommandError("refused_state", "proxy: possible only in enabled; enable first")
-            kind, _, values = posting(request, 0)
-            self.stack.command(kind, {Value.PROXY: values[Value.PROXY]}, actor=ALONE)
-        return coupling(self.newest, self._servo.realtime.rate_hz)
-
-    def _pause(self, seconds: float) -> None:
+    def sleep(self, seconds: float) -> None:
         """Let `seconds` of virtual time pass."""
         self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
 
-    def _now_s(self) -> float:
-        return self.stack.clock.now_ns() / NS_PER_S
+    _pause = sleep
 
     def _known(self) -> dict[str, Any]:
         """Return the servo's parameters, its state, the cause of a fault, and its temperature."""

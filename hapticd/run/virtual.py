@@ -36,6 +36,7 @@ from hapticd.core.params import (
     from_plain,
     to_plain,
 )
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import state_map
 from hapticd.guard.judge import Judge
@@ -134,9 +135,8 @@ class VirtualBoard(LockStepClient):
         client._connection = _AsyncConnection(self)  # type: ignore[assignment]  # all that a client asks of it
         return client
 
-    def sleep(self, seconds: float) -> None:
-        """Let `seconds` of virtual time pass."""
-        self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
+    def _now_s(self) -> float:
+        return self.stack.clock.now_ns() / NS_PER_S
 
     def run(self, ticks: int) -> bytes:
         """Run as `LockStep.run` does, with a pass of the gateway whenever it has work."""
@@ -228,6 +228,9 @@ class _AsyncConnection:
 
     async def pause(self, seconds: float) -> None:
         self._board.sleep(seconds)
+
+    def now_s(self) -> float:
+        return self._board._now_s()
 
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
         for payload in self._board._payloads(topic):

@@ -35,7 +35,6 @@ from hapticd.servo import safety, watchdog_trial
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
     FILTERED,
-    NO_PROXY,
     NO_WAVE,
     Answer,
     Plan,
@@ -50,7 +49,7 @@ from hapticd.servo.plan import (
     with_values,
     without_origin,
 )
-from hapticd.servo.proxy import aimed
+from hapticd.servo.proxy import aimed, without_proxy
 from hapticd.servo.safety import GRANTED, LATCHED, Push, State
 
 # faults that the gateway may detect and request
@@ -68,7 +67,8 @@ DISOWNED: dict[int, Result] = {
 }
 # commands with a mask
 MASKED = SETTINGS | {
-    Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS
+    Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS,
+    Command.PROXY,
 }  # fmt: skip
 STOP_HELD_S = 1.0  # after a press, only its actor may reset
 WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # required by a perturbation
@@ -147,8 +147,9 @@ def enter(
         glitches=(),
         short_since=-1,
         revision=following(plan.revision),
-        proxy=plan.proxy if state in LATCHED else NO_PROXY,
     )
+    if state not in LATCHED:
+        entered = without_proxy(entered)
     if state is not State.ENABLED:
         # a trial may have switched the faults off: restore the configuration
         default = params.safety.limit_cycle_faults

@@ -206,6 +206,7 @@ class RateLimited(NamedTuple):
 
     plan: Plan
     flags: int  # of the record: EASED, PAUSED
+    step_n: float = 0.0  # of the force, by the parameters
 
 
 class Step(NamedTuple):
@@ -213,6 +214,7 @@ class Step(NamedTuple):
 
     plan: Plan
     environment: LawInputs
+    size_n: float = 0.0  # of the force
 
 
 class StepContext(NamedTuple):
@@ -258,7 +260,7 @@ def eased(
     here = StepContext(x, v, force_n, law, was, coefficients, tick, last_tick)
     step = stepped(plan, before, here, params)
     if params.device.ramp_energy_j == inf or step.environment == was:
-        return with_flag(plan, step.plan)
+        return with_flag(plan, step.plan)._replace(step_n=step.size_n)
     return budgeted(plan, before, step, here, params)
 
 
@@ -277,8 +279,9 @@ def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) ->
     for _ in range(HALVINGS):
         environment = environment_of(candidate, here.tick, workspace, limit_n)
         force_n, *_ = render(here.x, here.law, environment, here.coefficients)
-        if not abs(force_n - here.force_n) > bound_n:
-            return Step(candidate, environment)
+        size_n = abs(force_n - here.force_n)
+        if not size_n > bound_n:
+            return Step(candidate, environment, size_n)
         share *= 0.5
         candidate = on_the_way(plan, before, here.last_tick, here.tick, share)
     return Step(on_the_way(plan, before, here.last_tick, here.tick, 0.0), here.environment)
@@ -295,7 +298,7 @@ def budgeted(
     was = stored(here.environment, here.x, here.v)
     now = stored(step.environment, here.x, here.v)
     energy_j = added(was, now)
-    _, flags = with_flag(plan, step.plan)
+    flags = with_flag(plan, step.plan).flags
     if too_much(plan, energy_j, here.tick, rate_hz, budget_j):
         wall_gains = now[WALL] > was[WALL]
         waiting = paused(plan, before, here.last_tick, here.tick, wall_gains)
@@ -303,8 +306,8 @@ def budgeted(
         flags = with_flag(waiting, step.plan).flags | int(Flag.PAUSED)
         energy_j = added(was, stored(step.environment, here.x, here.v))
     if not energy_j > 0.0:
-        return RateLimited(step.plan, flags)
-    return RateLimited(booked(step.plan, energy_j, here.tick, rate_hz), flags)
+        return RateLimited(step.plan, flags, step.size_n)
+    return RateLimited(booked(step.plan, energy_j, here.tick, rate_hz), flags, step.size_n)
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:

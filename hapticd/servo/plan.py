@@ -116,6 +116,7 @@ class Proxy(NamedTuple):
     moved_tick: int = 0
     energy_j: float = 0.0  # put into the spring at that tick, less what was taken from it
     held: bool = False  # it does not follow its target
+    ticks: int = 1  # between its last two targets
 
 
 NO_PROXY: Final = Proxy()
@@ -570,7 +571,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
 
 
 def proxy_tick(plan: Plan, tick: int, params: ServoParams) -> int:
-    """Return the first tick after `tick` at which the proxy moves, or is no longer told to."""
+    """Return the first tick after `tick` at which the proxy moves or its target expires."""
     proxy = plan.proxy
     if not proxy.owner:
         return NEVER

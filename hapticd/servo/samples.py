@@ -212,7 +212,7 @@ class Samples:
             _, _, v, _, spring, _, _, field, law = render(
                 position, law, environment, settled.coefficients
             )
-            elastic = clamp(spring + field, environment[LIMIT])
+            elastic = clamp(spring + settled.proxy_n + field, environment[LIMIT])
             ledger = book(
                 ledger, law[1], ledger[FORCE], 0.0, elastic, mass, v, resistance, self._own.kept
             )

@@ -20,6 +20,7 @@ from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Command, Flag, Result
 from hapticd.render.law import (
     EXCESS,
+    STIFFNESS,
     Coefficients,
     LawInputs,
     LawState,
@@ -242,14 +243,18 @@ class SlowPath:
             renewed = coefficients_of(plan, self._rate_hz)
             law = refiltered(law, coefficients, renewed)
             coefficients = renewed
+        stepped_n = 0.0
         if plan.state is State.ENABLED or plan.state in LATCHED:
             x = self._samples.position_m(plan, encoder) if usable else None
-            plan, held_back = eased(plan, settled, x, law, coefficients, tick, self._params)
+            plan, held_back, stepped_n = eased(
+                plan, settled, x, law, coefficients, tick, self._params
+            )
             flags |= held_back
         if plan.proxy.owner:
-            doubted = not usable or flags & Flag.DOUBTED
-            x = None if doubted else self._samples.position_m(plan, encoder)
-            plan = moved(plan, x, tick, self._params)
+            trusted = usable and (sure or flags & RESOLVED)
+            x = self._samples.position_m(plan, encoder) if trusted else None
+            stiffness = settled.environment[STIFFNESS]
+            plan = moved(plan, x, tick, self._params, stiffness, stepped_n)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
         params = self._params

@@ -4,11 +4,13 @@ Work done on the device is positive. The law's force L_k belongs to the sample x
 d_k periods later and is then held until the next one takes effect. The motion is known at the
 samples and taken as straight between them. An ideal element would act at once and without steps.
 Its work from sample to sample, (L_{k-1} + L_k) / 2 (x_k - x_{k-1}), is exact for a spring and
-defines `stiffness`, `damping`, `mass` and `fields`. With p = -K x the spring's force,
+defines `stiffness`, `damping`, `mass` and `fields`. With b = x - x_p the deflection of the spring
+from its proxy x_p, and p = -K b its force,
 
-    stiffness   (p_k x_k - p_{k-1} x_{k-1}) / 2          = - change of the energy K x^2 / 2 stored
-    ramp        (p_{k-1} x_k - p_k x_{k-1}) / 2          = energy added by a change of K; the same
-                for virtual mass, walls and ends, and for a wall that is moved
+    stiffness   (p_k b_k - p_{k-1} b_{k-1}) / 2          = - change of the energy K b^2 / 2 stored
+    ramp        (p_{k-1} b_k - p_k b_{k-1}) / 2          = energy added by a change of K
+                + (p_{k-1} + p_k) (x_p,k - x_p,k-1) / 2  = energy added by a motion of the proxy;
+                the same as for K for virtual mass, walls and ends, and for a wall that is moved
     damping, mass, fields    as above, without `ramp`
 
 Summation by parts gives the work of the steps and their delay. An ideal step dL_k = L_k - L_{k-1}
@@ -56,6 +58,7 @@ __all__ = ["BOOKED", "LONGEST", "SAMPLE", "Table", "book", "smoothed"]
 SAMPLE = np.dtype(
     [
         ("position_m", "f8"),
+        ("proxy_m", "f8"),  # anchor of the virtual spring
         ("stiffness_n", "f8"),  # parts of the law's force
         ("virtual_damping_n", "f8"),
         ("mass_n", "f8"),
@@ -150,8 +153,10 @@ def _book_ideal(
     moving = samples["periods"] > 0.0
     x = samples["position_m"]
     spring = samples["stiffness_n"]
-    found["stiffness"] = 0.5 * _difference(spring * x) * moving
-    from_spring = 0.5 * (_before(spring) * x - spring * _before(x)) * moving
+    bent = x - samples["proxy_m"]
+    found["stiffness"] = 0.5 * _difference(spring * bent) * moving
+    from_spring = 0.5 * (_before(spring) * bent - spring * _before(bent)) * moving
+    from_spring += _ideal(spring, _difference(samples["proxy_m"])) * moving
     speed = way / (periods * period_s)
     from_mass = 0.5 * _difference(samples["mass_kg"]) * speed**2
     middle = 0.5 * (x + _before(x))

@@ -1,6 +1,8 @@
 """A law of one's own through gateway, guard, servo and board on virtual time."""
 
+import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from math import nan
 from typing import Any
@@ -13,12 +15,13 @@ from support.proxies import RANGE_M, with_range
 from benchmarks.guard_attack import shipped_judge
 from benchmarks.guarded_stack import CLIENT, GuardedStack
 from hapticd.core.errors import CommandError
-from hapticd.core.params import BoardParams, LeaseParams, SafetyParams
+from hapticd.core.params import BoardParams, InjectionParams, LeaseParams, SafetyParams
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.layout import Flag, State
 from hapticd.protocol.answers import Coupling
 from hapticd.protocol.codec import Encoding, encode
-from hapticd.run.lockstep import LockStep, LockStepClient
+from hapticd.run.lockstep import LockStep
+from hapticd.run.virtual import VirtualBoard, virtual_board
 
 OTHER = b"other"
 SOON = SafetyParams(enable_ramp_s=0.05)
@@ -61,8 +64,26 @@ def test_position_of_a_law_arrives_and_the_reply_has_handle_and_proxy(
     record = guarded.view.record
     assert found["tick"] == record["tick"]
     assert found["position_m"] == pytest.approx(0.005, abs=1e-4)
-    assert found["force_n"] == -record["stiffness_force_n"]
+    assert found["force_n"] == pytest.approx(-record["stiffness_force_n"])
     assert found["held"] is True
+    assert found["fresh"] is True
+
+
+def test_lost_frame_leaves_the_force_of_the_spring_in_the_reply() -> None:
+    board = replace(BOARD, injections=(InjectionParams("drop_in", tick=150),))
+    replies = []
+    with LockStep(with_range(100.0, SOON), board) as stack:
+        guarded = GuardedStack(stack, shipped_judge().answer, "warn")
+        leads(guarded)
+        for number in range(60):
+            replies.append(ask(guarded, CLIENT, cmd="proxy", position_m=1e-4 * number)["result"])
+            guarded.run()
+    lost = [number for number, one in enumerate(replies) if not one["fresh"]]
+    assert len(lost) == 1
+    before, found = replies[lost[0] - 1], replies[lost[0]]
+    assert abs(before["force_n"]) > 0.01
+    assert found["force_n"] == pytest.approx(before["force_n"], abs=0.02)
+    assert found["force_n"] != 0.0
 
 
 def test_proxy_needs_the_lease_of_the_environment_and_force(guarded: GuardedStack) -> None:
@@ -158,13 +179,14 @@ def test_guard_judges_the_spring_of_a_proxy_like_any_other(guarded: GuardedStack
 
 
 @pytest.fixture
-def device() -> Iterator[LockStepClient]:
-    with LockStepClient(with_range(100.0), BOARD) as device:
+def device() -> Iterator[VirtualBoard]:
+    with virtual_board() as device:
+        device.set(K=100, active_damping=1, ramp_s=0)
         device.enable()
         yield device
 
 
-def test_callable_moves_the_proxy_on_virtual_time(device: LockStepClient) -> None:
+def test_callable_moves_the_proxy_on_virtual_time(device: VirtualBoard) -> None:
     felt: list[Coupling] = []
 
     def law(now: Coupling) -> float:
@@ -179,14 +201,14 @@ def test_callable_moves_the_proxy_on_virtual_time(device: LockStepClient) -> Non
     assert steps == [10] * len(steps)
 
 
-def test_law_ends_with_none_or_with_its_error(device: LockStepClient) -> None:
+def test_law_ends_with_none_or_with_its_error(device: VirtualBoard) -> None:
     with device.lease("environment", ttl_s=1.0):
         assert device.follow_law(lambda _: None).proxy_m == 0.0
         with pytest.raises(ZeroDivisionError):
             device.follow_law(lambda _: 1 / 0)
 
 
-def test_law_ends_when_force_ends(device: LockStepClient) -> None:
+def test_law_ends_when_force_ends(device: VirtualBoard) -> None:
     def law(now: Coupling) -> float:
         if now.proxy_m == 0.004:
             device.call("disable")
@@ -198,3 +220,33 @@ def test_law_ends_when_force_ends(device: LockStepClient) -> None:
     ):
         device.follow_law(law)
     assert device.newest["proxy_m"] == 0.0
+
+
+def test_law_of_the_asynchronous_client_keeps_its_pace_on_virtual_time(
+    device: VirtualBoard,
+) -> None:
+    felt: list[float] = []
+
+    def law(now: Coupling) -> float:
+        felt.append(now.time_s)
+        return 0.0
+
+    async def follow() -> None:
+        async with device.aio() as client, client.lease("environment"):
+            await client.follow_law(law, rate_hz=100.0, duration_s=0.2)
+
+    asyncio.run(follow())
+    steps = [round(1e3 * (after - one)) for one, after in pairwise(felt[1:])]
+    assert len(steps) >= 18
+    assert steps == [10] * len(steps)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -1.0, nan])
+def test_rate_of_a_law_that_is_not_above_0_is_refused_before_any_request(
+    device: VirtualBoard, rate_hz: float
+) -> None:
+    felt: list[Coupling] = []
+    with pytest.raises(CommandError, match="must be above 0") as refused:
+        device.follow_law(lambda now: felt.append(now), rate_hz)
+    assert refused.value.code == "invalid"
+    assert not felt

@@ -29,7 +29,7 @@ def said(stack, kind, first):
 def test_no_mask_ends_the_servo(mask, enabled):
     with LockStep(servo_params(), board_params()) as stack:
         stack.run(5)
-        for kind in (one for one in Command if one not in (*OBEYED, Command.PROXY)):
+        for kind in (one for one in Command if one not in OBEYED):
             if enabled:
                 stack.do(Command.ENABLE)
             result = said(stack, kind, mask)
@@ -46,7 +46,8 @@ def test_no_number_of_a_proxy_ends_the_servo_or_is_answered(number):
         stack.run(5)
         stack.do(Command.SET, {Value.LEASE_CONTROL: 1.0})
         stack.do(Command.ENABLE)
-        seq = stack.gateway.post(Command.PROXY, 1, 0, (number,) * layout.COMMAND_VALUES)
+        values = layout.values_of({Value.PROXY: number})
+        seq = stack.gateway.post(Command.PROXY, 1, 0, values)
         record = as_records(stack.run(5))[-1]
         assert seq not in [one.seq for one in stack.gateway.answers()]
         assert record["state"] == State.ENABLED
