@@ -105,7 +105,7 @@ def moved(
     if left or late:
         proxy = proxy._replace(held=True)
     elif x is not None and proxy.moved_tick != tick:  # a tick may be repeated
-        left_n = params.device.force_step_n - stepped_n
+        left_n = max(0.0, params.device.force_step_n - stepped_n)
         proxy = _step(proxy, x, stiffness_n_per_m, gain, left_n, tick, params)
     return plan._replace(proxy=proxy)
 
