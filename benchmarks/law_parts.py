@@ -15,6 +15,7 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from hapticd.core.arrays import Floats
 from hapticd.core.units import NS_PER_US
+from hapticd.model.scene import Scene
 from hapticd.render.parts import (
     WINDOW,
     LawPart,
@@ -48,28 +49,30 @@ def parts(count_m: float, rate_hz: float) -> dict[str, LawPart]:
     }
 
 
-def spent_us(given: tuple[LawPart, ...], positions_m: Floats) -> float:
+def spent_us(scene: Scene, given: tuple[LawPart, ...], positions_m: Floats) -> float:
     """Return the time of a tick [us]."""
     begin = time.thread_time_ns()
-    played(load_scene(SCENE), given, ASKED, positions_m)
+    played(scene, given, ASKED, positions_m)
     return (time.thread_time_ns() - begin) / positions_m.size / NS_PER_US
 
 
 def measure() -> Iterator[Figure]:
     """Yield the time of a tick with each part."""
-    model = display(load_scene(SCENE)).model
+    scene = load_scene(SCENE)
+    model = display(scene).model
     count_m = model.encoder_quantum_m or 0.0
-    trial = simulate(load_scene(SCENE), [[*ASKED, 0.0]], SECONDS, keep="ticks")
+    trial = simulate(scene, [[*ASKED, 0.0]], SECONDS, keep="ticks")
     positions_m, _ = trial.traces(0)
     tried = {"": (), **{name: (one,) for name, one in parts(count_m, model.rate_hz).items()}}
     rounds = [
-        {name: spent_us(given, positions_m) for name, given in tried.items()} for _ in range(ROUNDS)
+        {name: spent_us(scene, given, positions_m) for name, given in tried.items()}
+        for _ in range(ROUNDS)
     ]
     least = {name: min(one[name] for one in rounds) for name in tried}
     for name in tried:
         if name:
             yield compared(name, TARGETS[name], least[name], "us", least[""])
     still = np.zeros_like(positions_m)
-    own = min(spent_us(tried["law_foaw"], still) for _ in range(ROUNDS))
-    alone = min(spent_us((), still) for _ in range(ROUNDS))
+    own = min(spent_us(scene, tried["law_foaw"], still) for _ in range(ROUNDS))
+    alone = min(spent_us(scene, (), still) for _ in range(ROUNDS))
     yield compared("law_foaw_at_rest", TARGETS["law_foaw_at_rest"], own, "us", alone)

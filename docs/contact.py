@@ -51,7 +51,7 @@ from hapticd.model.predict import predicted_impedance  # noqa: E402
 from hapticd.model.scene import Excitation, Scene  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
 from hapticd.signal.passive_set import axis_limit  # noqa: E402
-from hapticd.studies.port_energy import LEAST, MOST, SECONDS, hand_of, pushed_n  # noqa: E402
+from hapticd.studies.port_energy import SECONDS, drawn, hand_of, pushed_n  # noqa: E402
 from hapticd.zwidth.engine.batch import simulate  # noqa: E402
 from hapticd.zwidth.engine.contact import ContactDamping  # noqa: E402
 from hapticd.zwidth.limits import REACH  # noqa: E402
@@ -165,7 +165,7 @@ class Judged:
         rule = self.rule and self.rule.at(self.level_ns_per_m)
         push = np.full(round(SECONDS * PROBE_RATE_HZ), pushed_n(self.scene))
         found = 0.0
-        for sizes in np.random.default_rng(1).uniform(LEAST, MOST, (count, LEAST.size)):
+        for sizes in drawn(1, count):
             trial = simulate(
                 at_port(model, hand_of(sizes)),
                 [[0.0, 0.0, 0.0]],

@@ -73,10 +73,11 @@ def played(
     [N/m] and B [N s/m], from rest at 0.
     """
     k, b = asked
-    coefficients = design_coefficients(*scene.environment.filters, display(scene).model.rate_hz)
+    shown = display(scene)
+    coefficients = design_coefficients(*scene.environment.filters, shown.model.rate_hz)
     state = at_rest(0.0)
     memories: list[Any] = [part.at_rest(0.0) for part in parts]
-    limit = display(scene).force_limit_n
+    limit = shown.force_limit_n
     forces = []
     for x in positions_m.tolist():
         inputs = (k, b, 0.0, 0.0, limit, *NO_WALL)

@@ -42,8 +42,7 @@ def test_wall_that_swings_without_active_damping_stands_with_it_at_the_wall(
 def test_wall_whose_damping_is_late_pumps_a_hand(
     contact: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contact, "LEAST", FIRM)
-    monkeypatch.setattr(contact, "MOST", FIRM)
+    monkeypatch.setattr(contact, "drawn", lambda seed, count: FIRM[np.newaxis])
     scene = load_scene("fig4")
     late, early, everywhere = (
         judged(contact, scene, 1.74, rule).given_out_j((846.0, 3.25), 1)
