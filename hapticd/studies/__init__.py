@@ -17,5 +17,5 @@ request, `run_...` simulates and returns numbers.
     felt        felt impedance and noise at rest of such laws
     reference   what they compare with: scenes without some effects, the impedance of several trials
                 together, the product in lock-step
-    report      figures and tables of these
+    report      figures and tables of a scene; `report_methods` those of the other studies
 """
