@@ -15,12 +15,12 @@ from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
-from hapticd.servo.connection import differences
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
 from hapticd.usb import codec
 from hapticd.usb.device import SEED
+from hapticd.usb.search import differences
 
 
 def report(stack):
