@@ -17,10 +17,10 @@ with the delay assumed at the time. Nothing in them is unexplained. Limitations:
 field that the ledger reads (`Recording.records` raises the error).
 
 Replay (`replay_recording`). It covers a whole recording, one segment after the other. In each,
-`run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded one.
-With other settings a replay shows the commands of the tick law, not the motion of the display. The
-result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
-Otherwise `first_difference` names that tick.
+`recording.replay` runs the servo's own step on the recorded samples. The motion remains the
+recorded one. With other settings a replay shows the commands of the tick law, not the motion of the
+display. The result of a tick must depend on the checkpoint, the samples and the requests in the
+file alone. Otherwise `first_difference` names that tick.
 """
 
 import json
@@ -46,7 +46,7 @@ from hapticd.protocol.view import NAMES, RECORD_DTYPE, Ledger, Records
 from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA
-from hapticd.run.replay import Difference, Segment, difference, replay
+from hapticd.recording.replay import Difference, Segment, difference, replay
 from hapticd.settings.toml import SAMPLES_BYTES, regular
 
 __all__ = ["ReplayResult", "open_recording", "replay_recording", "total_j"]

@@ -8,7 +8,6 @@ No module here prints, and each imports only the dependencies of its own process
                      a client of that stack; virtual: one with a guard
     system_files     files that a machine needs to run hapticd as a service
     doctor           checks of the machine for real-time use, and the support report
-    replay           replay(params, segment): the step over a recording, bit by bit
 
 `servo_main`, `gateway_main` and `watchdog` are processes: `python -m hapticd.run.NAME`.
 """

@@ -14,7 +14,7 @@ from support.recorded import RecordedFlight
 
 from hapticd.core.params import HomeParams, InjectionParams
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.servo.plan import SETTLED, ServoState, flatten, unflatten
 
 ROUGH = tuple(

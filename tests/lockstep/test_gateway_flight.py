@@ -17,8 +17,8 @@ from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
 from hapticd.protocol import flight
 from hapticd.protocol.flight import FILES_KEPT, Flight, flights_folder
+from hapticd.recording import replay
 from hapticd.recording.file import open_recording
-from hapticd.run import replay
 
 
 @pytest.fixture

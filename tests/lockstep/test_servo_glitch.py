@@ -16,7 +16,7 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.protocol.view import as_records
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State

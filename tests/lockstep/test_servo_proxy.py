@@ -16,7 +16,7 @@ from support.recorded import RecordedFlight
 from hapticd.core.params import SafetyParams, ServoParams
 from hapticd.mailbox.layout import Command, Flag, State, Value
 from hapticd.protocol.view import as_records, samples
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.energy import spring_energy
 from hapticd.servo.plan import flatten, unflatten

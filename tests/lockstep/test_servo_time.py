@@ -16,7 +16,7 @@ from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 

@@ -23,8 +23,8 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.journal import Actors, Journal
 from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.recording import replay
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.run import replay
 from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.guard_stub import StubWorker
