@@ -61,7 +61,7 @@ from hapticd.zwidth.limits import (
 from hapticd.zwidth.map import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, Point, points_of
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Display, Trial, noise
+from hapticd.zwidth.sources import Display, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls
@@ -238,7 +238,7 @@ def conditions(device: str) -> Conditions:
     first seed is 1.
     """
     scene = load_scene(SCENES[device])
-    return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
+    return Conditions(scene, SECONDS, replace(scene.noise, seed=1))
 
 
 def run_reproduce(

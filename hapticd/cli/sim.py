@@ -117,7 +117,7 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     loaded = scenes.load_scene(scene)
     levels = sorted({step.level_ns_per_m for step in loaded.active_damping})
     found = discrete.explain(compose.compose(loaded), levels)
-    spent = accuracies.cost(loaded, scene, time.process_time_ns)
+    spent = effect_studies.cost(loaded, scene, time.process_time_ns)
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     lines = [
         f"{_head(loaded)}, {size}",

@@ -10,6 +10,7 @@ import msgpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_S
 
@@ -34,6 +35,18 @@ class Block:
     #: everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
     #: `time_ns` for Unix time) or, for the probe, `scale`
     header: dict[str, Any]
+
+    def signals(self) -> Floats:
+        """Return force [N] and velocity [m/s] (2, n) of the probe. KeyError for another topic."""
+        scales = {name: self.header["scale"][name] for name in ("torque", "velocity")}
+        return np.stack(
+            [
+                one["sign"]
+                * (self.records[name].astype(np.float64) - one["offset_count"])
+                * one["per_count"]
+                for name, one in scales.items()
+            ]
+        )
 
 
 @lru_cache(maxsize=8)

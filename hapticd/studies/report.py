@@ -15,7 +15,7 @@ from hapticd.model.discrete import AtLevel, Explanation
 from hapticd.model.scene import Scene
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.verdict import DEFAULT_BAND_HZ
-from hapticd.studies.accuracy import Cost
+from hapticd.studies.effects import Cost
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.report.paper import Cell, Table, duration, legends, shown, table
 from hapticd.zwidth.report.style import (

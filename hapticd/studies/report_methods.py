@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.arrays import Complexes
-from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow
-from hapticd.studies.effects import EffectsResult, LeftOut
+from hapticd.studies.accuracy import AccuracyResult, AccuracyRow
+from hapticd.studies.effects import GROUP, EffectsResult, LeftOut
 from hapticd.studies.port_energy import SECONDS, EnergyRow
-from hapticd.studies.reference import candidates
 from hapticd.studies.remedies import RENDERED_HZ, Row
 from hapticd.zwidth.report.paper import Cell, Table, changed, duration, legends, shown, table
 from hapticd.zwidth.report.style import (
@@ -115,7 +114,7 @@ def effects_words(result: EffectsResult) -> str:
             "Without any environment the scene is not passive already, so it has no"
             f" {params.question}; ask --for phase."
         )
-    left_out = [key for key in candidates(params.scene) if key not in kept]
+    left_out = [key for key in params.scene.removable if key not in kept]
     if not left_out:
         return (
             f"Every effect changes {params.question} by more than {changed(params.tolerance)}: keep"

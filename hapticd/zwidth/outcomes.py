@@ -49,7 +49,7 @@ from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
-from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 from hapticd.zwidth.watch import SATURATED_SHARE
 
@@ -193,7 +193,7 @@ def _simulated(
         conditions.seconds,
         conditions.excitation.seed,
         active_damping=active_damping_ns_per_m,
-        environment=free_of_walls(conditions.scene),
+        environment=conditions.scene.free_of_walls,
         excitation=conditions.excitation,
         start=(0.0, 0.0),
         substeps=conditions.substeps,

@@ -23,7 +23,6 @@ from hapticd.zwidth.outcomes import (
     run_trials,
 )
 from hapticd.zwidth.search import SearchParams, plan_search, rounded, run_search, slice_at
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 
@@ -118,7 +117,7 @@ def test_search_beats_the_prediction_that_it_began_from():
     seeds.
     """
     scene = load_scene("fig4")
-    calibrated = Conditions(scene, 90.0, noise(scene))
+    calibrated = Conditions(scene, 90.0, scene.noise)
     plan = plan_search(SearchParams(calibrated, 1.74, budget=20, doubt=0.0))
     result = run_search(plan, TrialStore(None))
     axes = (np.linspace(0.0, 1400.0, 8), np.linspace(0.0, 10.0, 8), np.linspace(-0.028, 0.04, 8))

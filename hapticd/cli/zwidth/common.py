@@ -241,7 +241,7 @@ def conditions(
     confidence: float = 0.95,
 ) -> "outcomes.Conditions":
     """Return the conditions of many trials: the scene's noise with that seed."""
-    noise = replace(sources.noise(scene), seed=seed)
+    noise = replace(scene.noise, seed=seed)
     return outcomes.Conditions(scene, seconds, noise, band_hz, confidence)
 
 
