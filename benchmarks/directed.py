@@ -19,9 +19,9 @@ from examples.weir2008.future_work import SearchCheck, compared_with_grid
 from examples.weir2008.paper import LEVELS
 from hapticd.model.loop import derivatives, held_force_model
 from hapticd.settings.scene import load_scene
-from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
-from hapticd.signal.surrogate import Box, Observation
+from hapticd.zwidth.acquisition import Search, first_trials, next_trials, predicted_passive
 from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.surrogate import Box, Observation
 
 TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}

@@ -46,7 +46,6 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import Impedance, impedance
-from hapticd.signal.passive_set import Envelope, grid
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.limits import (
@@ -60,6 +59,7 @@ from hapticd.zwidth.limits import (
 )
 from hapticd.zwidth.map import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, Point, points_of
+from hapticd.zwidth.passive_set import Envelope, grid
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Display, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent

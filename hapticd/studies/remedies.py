@@ -49,8 +49,8 @@ from hapticd.model.effects import Delay
 from hapticd.model.loop import close_loop, derivatives
 from hapticd.model.scene import DampingStep, Scene
 from hapticd.model.theorem import circles, lifted_system
-from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
 from hapticd.zwidth import limits, outcomes
+from hapticd.zwidth.passive_set import PassiveSet, axis_limit, grid
 from hapticd.zwidth.sources import display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 

@@ -38,7 +38,7 @@ from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
 from hapticd.protocol.answers import Status
 from hapticd.recording.provenance import CalibrationDoubt, certificate_of, doubts
-from hapticd.signal.alignment import find_marks
+from hapticd.zwidth.alignment import find_marks
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor

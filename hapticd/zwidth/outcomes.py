@@ -43,12 +43,12 @@ from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import Envelope
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
 from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
+from hapticd.zwidth.passive_set import Envelope
 from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 from hapticd.zwidth.watch import SATURATED_SHARE
