@@ -25,8 +25,9 @@ from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import Leases
+from hapticd.protocol.ledger import Ledger
 from hapticd.protocol.telemetry import Feed, Origin, ProbeDecoder, RingBlock, Subscriptions
-from hapticd.protocol.view import STATES, Ledger, Records, ServoView
+from hapticd.protocol.view import STATES, Records, ServoView
 
 __all__ = ["state_map"]
 

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.mailbox.layout import Flag
-from hapticd.protocol.view import CONTEXT, Records, joined, samples
+from hapticd.protocol.ledger import CONTEXT, Table, samples, smoothed
+from hapticd.protocol.view import Records, joined
 from hapticd.signal.delivered import (
     SIMPSON,
     WINDOW,
@@ -31,7 +32,6 @@ from hapticd.signal.delivered import (
     Estimate,
     estimate,
 )
-from hapticd.signal.ledger import Table, smoothed
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 

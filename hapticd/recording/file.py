@@ -42,7 +42,8 @@ from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Value
 from hapticd.protocol import flight
-from hapticd.protocol.view import NAMES, RECORD_DTYPE, Ledger, Records
+from hapticd.protocol.ledger import NAMES, Ledger
+from hapticd.protocol.view import RECORD_DTYPE, Records
 from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA

@@ -7,9 +7,9 @@ from support.models import servo_params
 
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Value
-from hapticd.protocol.view import NAMES, Ledger, as_records, samples
+from hapticd.protocol.ledger import NAMES, Ledger, book, samples
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
-from hapticd.signal.ledger import book
 from hapticd.usb import codec
 from hapticd.usb.frames import StatusBit
 
