@@ -1,6 +1,6 @@
 """Estimate the active damping that the board delivers, and report a shortfall.
 
-The records of the last 4 s are reduced to 16 blocks of sums of products. `signal.delivered` makes
+The records of the last 4 s are reduced to 16 blocks of sums of products. `delivered_estimate` makes
 an estimate with an interval from them. A sample counts only if the board latched it itself, inside
 the range of its converters, while it grants torque. All samples belong to one level of damping. A
 block without information replaces an old one too, so the estimate ages.
@@ -21,10 +21,7 @@ from numpy.typing import NDArray
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
-from hapticd.mailbox.layout import Flag
-from hapticd.protocol.ledger import CONTEXT, Table, samples, smoothed
-from hapticd.protocol.view import Records, joined
-from hapticd.signal.delivered import (
+from hapticd.guard.delivered_estimate import (
     SIMPSON,
     WINDOW,
     Block,
@@ -32,6 +29,9 @@ from hapticd.signal.delivered import (
     Estimate,
     estimate,
 )
+from hapticd.mailbox.layout import Flag
+from hapticd.protocol.ledger import CONTEXT, Table, samples, smoothed
+from hapticd.protocol.view import Records, joined
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 

@@ -12,7 +12,6 @@ measured at the probe unless stated otherwise. For scripts:
     findings     `examine`: defects and anomalies of a record
     resolved     `resolved`, `low_line`: lines narrower than the window, from the whole record
     verdict      `judge`: passive in a band, not passive, or undecided, with intervals
-    delivered    `estimate`: the active damping that a board delivers
 
 The other modules serve these: `covariances`, `compiled`, `batch_spectra` and `batch_fft`
 (loops over records), and `channels` (faults of the measuring channels).
