@@ -24,9 +24,9 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Scene
 from hapticd.render.law import at_rest, design_coefficients, render
-from hapticd.render.parts import CONTROLLERS, ESTIMATORS, LawPart
 from hapticd.studies.remedies import RENDERED_HZ
 from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS, LawPart
 from hapticd.zwidth.sources import SUBSTEPS, display
 
 __all__ = ["SINE", "felt", "noise_at_rest", "played"]

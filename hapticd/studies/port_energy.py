@@ -37,7 +37,10 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.coupled import Hand, at_port
 from hapticd.model.scene import Scene
-from hapticd.render.parts import (
+from hapticd.studies.felt import SINE, felt, noise_at_rest
+from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import (
     WINDOW,
     LawPart,
     foaw_part,
@@ -46,9 +49,6 @@ from hapticd.render.parts import (
     observer_part,
     tank_part,
 )
-from hapticd.studies.felt import SINE, felt, noise_at_rest
-from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
-from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import NOISE, SUBSTEPS, display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent, to_json
 

@@ -33,7 +33,6 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
-from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import Spectra, grid_frequencies
 from hapticd.zwidth.engine.contact import AtContact, ContactDamping
@@ -49,6 +48,7 @@ from hapticd.zwidth.engine.job import (
     shared_torque,
 )
 from hapticd.zwidth.engine.kernels import Filters
+from hapticd.zwidth.engine.parts import LawPart
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
 
 __all__ = ["BatchResult", "simulate"]
@@ -223,7 +223,7 @@ def simulate(
                  "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one, with noise of the
                  probe by its position; otherwise by its K, B and M
-    parts        of the law, such as another estimator of the velocity (`render.parts`)
+    parts        of the law, such as another estimator of the velocity (`zwidth.engine.parts`)
     contact      active damping that follows the wall, in place of `active_damping`
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task

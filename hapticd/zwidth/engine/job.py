@@ -46,9 +46,9 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, generator, torque_record
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
-from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import Filters, kernel, law_numbers, plant_numbers
+from hapticd.zwidth.engine.parts import LawPart
 from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, PartShape, Shape, reduced, shape_of
 from hapticd.zwidth.engine.source import LAW_STATE, SCALARS, memory_names, number_names
 

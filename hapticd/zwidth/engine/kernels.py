@@ -32,8 +32,9 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import discretise, drive_response_s
 from hapticd.model.friction import reach
 from hapticd.model.model import Array, DriveLimits, Map, Model
-from hapticd.render import law, parts
+from hapticd.render import law
 from hapticd.render.law import Biquad, design, scaled
+from hapticd.zwidth.engine import parts
 from hapticd.zwidth.engine.shape import Shape, sample_point
 from hapticd.zwidth.engine.source import (
     ENDS,
