@@ -41,7 +41,7 @@ from hapticd.model.angles import unresolved_hz
 from hapticd.model.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
-from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
 
 __all__ = ["Judge"]
 
@@ -384,7 +384,7 @@ class Judge:
 
 
 def _unknown(text: str, remedy: str = "") -> Explanation:
-    why = because(Reason.UNKNOWN, f"unknown: {text}")
+    why = Explanation.because(Reason.UNKNOWN, f"unknown: {text}")
     return why.and_remedy(Remedy.CONFIGURE, remedy) if remedy else why
 
 
