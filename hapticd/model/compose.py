@@ -39,6 +39,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import PlantParams
 from hapticd.model.blueprint import ZERO, Blueprint, Form, InputColumns
@@ -59,7 +60,6 @@ from hapticd.model.effects import (
     shaped,
 )
 from hapticd.model.model import (
-    Array,
     Contact,
     DriveLimits,
     Ends,
@@ -253,7 +253,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     )
 
 
-def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Array:
+def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Floats:
     """Return [A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
     `Coefficient`, of all rates, with a column for the friction force of each contact.
     """

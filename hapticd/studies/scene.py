@@ -47,7 +47,7 @@ from hapticd.model.compose import compose, compose_device
 from hapticd.model.discrete import edge, expm, modes, stability
 from hapticd.model.effects import WindingTemperature
 from hapticd.model.loop import spectral_radius
-from hapticd.model.model import Array, Model
+from hapticd.model.model import Model
 from hapticd.model.scene import Scene
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
@@ -323,7 +323,7 @@ def compare_integrators(scene: Scene) -> Integrators:
     return Integrators(np.array(STEPS_PER_MS, np.float64), error, longest, fastest_s)
 
 
-def _error(millisecond: Array, start: Floats, true: Floats) -> float:
+def _error(millisecond: Floats, start: Floats, true: Floats) -> float:
     """Return the largest error of any coordinate, over its largest value."""
     size = np.abs(true).max(axis=0)
     error = float(
@@ -343,7 +343,7 @@ def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return matrix
 
 
-def _marks(millisecond: Array, start: Floats) -> Floats:
+def _marks(millisecond: Floats, start: Floats) -> Floats:
     """Return (SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
     one.
     """
