@@ -8,15 +8,14 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_S
 
-__all__ = ["Block", "BlockDecoder", "Records"]
+__all__ = ["Block", "BlockDecoder"]
 
-Records = NDArray[np.void]
 # 32 kB as float32, half of what a message may hold
 CHUNK_SAMPLES = 8192  # of a waveform, in one message
 STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records

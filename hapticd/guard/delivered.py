@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats, Records
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.guard.delivered_estimate import (
     SIMPSON,
@@ -30,8 +30,8 @@ from hapticd.guard.delivered_estimate import (
     estimate,
 )
 from hapticd.mailbox.layout import Flag
-from hapticd.protocol.ledger import CONTEXT, Table, samples, smoothed
-from hapticd.protocol.view import Records, joined
+from hapticd.protocol.ledger import CONTEXT, samples, smoothed
+from hapticd.protocol.view import joined
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 
@@ -163,7 +163,7 @@ class Delivered:
         motor_n = self._servo.device.motor_n_per_a * at["current_a"].astype(float)
         return _products(at, path, motor_n, places[whole], period_s)
 
-    def _path(self, found: Table, period_s: float) -> CommandedForce:
+    def _path(self, found: Records, period_s: float) -> CommandedForce:
         corner_hz = self._servo.device.force_smoothing_hz
         held_n = found["in_effect_n"]
         if corner_hz <= 0.0:

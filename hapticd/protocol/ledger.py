@@ -58,11 +58,11 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox.layout import Flag
-from hapticd.protocol.view import Records, joined
+from hapticd.protocol.view import joined
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 
@@ -73,7 +73,6 @@ __all__ = [
     "NAMES",
     "SAMPLE",
     "Ledger",
-    "Table",
     "book",
     "samples",
     "smoothed",
@@ -120,16 +119,15 @@ BOOKED = np.dtype(
     [(name, "f8") for name in (*CAUSES, "unexplained", "whole", "electrical_commanded")]
 )
 LONGEST = 8  # periods for which a pending force is followed
-Table = NDArray[np.void]
 
 
 def book(
-    samples: Table,
+    samples: Records,
     period_s: float,
     ends_m: tuple[float, float] = (-np.inf, np.inf),
     smoothing_hz: float = 0.0,
     motor_n: float = 0.0,
-) -> tuple[Table, Floats]:
+) -> tuple[Records, Floats]:
     """Return the work [J] between each of `samples` (n,) of SAMPLE and the one before, as BOOKED
     (n,), and the force [N] of a smoothed motor at each (n,). The first row is 0.
 
@@ -167,8 +165,8 @@ def book(
 
 
 def _book_ideal(
-    found: Table,
-    samples: Table,
+    found: Records,
+    samples: Records,
     way: Floats,
     periods: Floats,
     period_s: float,
@@ -195,13 +193,13 @@ def _book_ideal(
     found["fields"] = _ideal(samples["field_n"], way) - from_fields
 
 
-def _law(samples: Table) -> Floats:
+def _law(samples: Records) -> Floats:
     """The law's force before its limit."""
     parts = ("stiffness_n", "virtual_damping_n", "mass_n", "field_n")
     return np.asarray(sum(samples[name] for name in parts))
 
 
-def _stored_in_fields(samples: Table, x: Floats, ends_m: tuple[float, float]) -> Floats:
+def _stored_in_fields(samples: Records, x: Floats, ends_m: tuple[float, float]) -> Floats:
     """Energy [J] in the springs of wall and ends at `x` (n,) [m], with the settings of each row."""
     depth = np.maximum((x - samples["wall_m"]) * samples["wall_side"], 0.0)
     lower, upper = ends_m
@@ -235,7 +233,7 @@ def _held(force: Floats, way: Floats, lead: list[Floats]) -> Floats:
     return np.asarray(_before(force) * way - _late(_difference(force), lead))
 
 
-def _reported(samples: Table, way: Floats, periods: Floats) -> Floats:
+def _reported(samples: Records, way: Floats, periods: Floats) -> Floats:
     """Work in each interval of the force in effect, as the board reports it."""
     after = np.clip(samples["since"] / periods, 0.0, 1.0)
     now = samples["in_effect_n"]
@@ -243,7 +241,7 @@ def _reported(samples: Table, way: Floats, periods: Floats) -> Floats:
 
 
 def smoothed(
-    samples: Table, lasting_s: Floats, period_s: float, w: float, motor_n: float
+    samples: Records, lasting_s: Floats, period_s: float, w: float, motor_n: float
 ) -> tuple[Floats, Floats]:
     """Return the force [N] of the motor at each of `samples` (n,), and its mean since the one
     before: the force in effect behind a first-order low-pass of corner `w` [rad/s]. Each sample
@@ -364,11 +362,11 @@ class Ledger:
         return sums
 
 
-def _plain(booked: Table) -> NDArray[np.float64]:
+def _plain(booked: Records) -> NDArray[np.float64]:
     return booked.view(np.float64).reshape(len(booked), -1)
 
 
-def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Table:
+def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Records:
     """Return the ledger's samples of `records`: a row for each of `rows`, those with a fresh
     sample.
     """
@@ -400,7 +398,7 @@ def _periods(usable: Records, rate_hz: float) -> NDArray[np.float64]:
     return np.where(seeded | (passed > 1.5 + LONGEST_GAP) | (passed < 0.0), 0.0, passed)
 
 
-def _in_effect(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: float) -> None:
+def _in_effect(found: Records, records: Records, rows: NDArray[np.intp], rate_hz: float) -> None:
     usable = records[rows]
     effect = _bytes(usable["in_frame"])[:, _EFFECT_PLACE:][:, : IN_EFFECT.size]
     age_us = effect[:, 0] + 256.0 * effect[:, 1]
@@ -428,7 +426,7 @@ def _last_known(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArra
     return np.where(places >= 0, values[np.maximum(places, 0)], 0.0)
 
 
-def _forces(found: Table, usable: Records, servo: ServoParams) -> None:
+def _forces(found: Records, usable: Records, servo: ServoParams) -> None:
     """Set the law's field, its force after the limit, and the sent force."""
     sent = usable["force_n"]
     law = sum(found[f"{part}_n"] for part in ("stiffness", "virtual_damping", "mass"))

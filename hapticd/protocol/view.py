@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import ServoParams
@@ -25,11 +25,10 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.daemons import FIRST_CLIENT, living_report
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
 
-__all__ = ["RECORD_DTYPE", "STATES", "Records", "ServoView", "as_records", "configured", "joined"]
+__all__ = ["RECORD_DTYPE", "STATES", "ServoView", "as_records", "configured", "joined"]
 
 # --- records --------------------------------------------------------------------------------------
 
-Records = NDArray[np.void]
 
 RECORD_DTYPE = np.dtype(list(layout.TELEMETRY))
 FIELDS: tuple[str, ...] = tuple(str(field[0]) for field in layout.TELEMETRY)

@@ -36,6 +36,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
@@ -43,7 +44,7 @@ from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Value
 from hapticd.protocol import flight
 from hapticd.protocol.ledger import NAMES, Ledger
-from hapticd.protocol.view import RECORD_DTYPE, Records
+from hapticd.protocol.view import RECORD_DTYPE
 from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import AnalysisError, CommandError, ConfigError, LinkError, MailboxError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.params import (
@@ -53,7 +53,7 @@ from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.protocol.leases import MEASURING
 from hapticd.protocol.schemas import ADAPTER, LeaseRequest
 from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock
-from hapticd.protocol.view import Records, as_records, configured
+from hapticd.protocol.view import as_records, configured
 from hapticd.run.servo_main import simulated_backend
 from hapticd.servo.late import Wait
 from hapticd.servo.loop import ServoLoop

@@ -19,11 +19,11 @@ from support.delivered import (
     parts,
 )
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import (
     InjectionParams,
     ServoParams,
 )
-from hapticd.protocol.view import Records
 
 
 def test_without_damping_nothing_is_delivered():

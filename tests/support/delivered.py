@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import (
     BoardParams,
     HandParams,
@@ -18,7 +19,7 @@ from hapticd.core.params import (
 )
 from hapticd.guard.delivered import Delivered, Estimate, Shortfall
 from hapticd.mailbox.layout import Command, Value
-from hapticd.protocol.view import Records, as_records
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
 from support.tree import ROOT
 

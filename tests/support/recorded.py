@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import (
     BoardParams,
     GatewayParams,
@@ -22,7 +23,7 @@ from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Value
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.journal import Actors, Journal
-from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.protocol.view import ServoView, as_records
 from hapticd.recording import replay
 from hapticd.recording.recorder import RecordingParams, record
 from hapticd.run.lockstep import LockStep

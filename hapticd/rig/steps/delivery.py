@@ -39,9 +39,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.environment import Environment
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
