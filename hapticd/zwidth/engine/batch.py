@@ -31,6 +31,7 @@ from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
+from hapticd.model.loop import Filters
 from hapticd.model.model import Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
@@ -47,7 +48,6 @@ from hapticd.zwidth.engine.job import (
     prepared,
     shared_torque,
 )
-from hapticd.zwidth.engine.kernels import Filters
 from hapticd.zwidth.engine.parts import LawPart
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
 

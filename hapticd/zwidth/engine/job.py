@@ -44,10 +44,11 @@ from hapticd.core.params import HeatingParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, generator, torque_record
+from hapticd.model.loop import Filters
 from hapticd.model.model import Model
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
-from hapticd.zwidth.engine.kernels import Filters, kernel, law_numbers, plant_numbers
+from hapticd.zwidth.engine.kernels import kernel, law_numbers, plant_numbers
 from hapticd.zwidth.engine.parts import LawPart
 from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, PartShape, Shape, reduced, shape_of
 from hapticd.zwidth.engine.source import LAW_STATE, SCALARS, memory_names, number_names

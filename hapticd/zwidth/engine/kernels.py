@@ -32,6 +32,7 @@ from hapticd.core.extras import need
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import discretise, drive_response_s
 from hapticd.model.friction import reach
+from hapticd.model.loop import Filters
 from hapticd.model.model import DriveLimits, Map, Model
 from hapticd.render import law
 from hapticd.render.law import Biquad, design, scaled
@@ -94,8 +95,6 @@ def _write(path: Path, text: str) -> None:
 
 
 # --- coefficients ---------------------------------------------------------------------------------
-# of velocity and acceleration; None: none
-Filters = tuple[FilterParams | None, FilterParams | None]
 NUMBERS = 256  # cached sets of coefficients: levels on the way to a wall, for several trials
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
