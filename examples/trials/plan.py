@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from hapticd import load_scene
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.loop import spectral_radius
 from hapticd.model.scene import Excitation, Scene
-from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.sources import Display, display
 

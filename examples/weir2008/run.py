@@ -42,8 +42,8 @@ from examples.weir2008.paper import (
 )
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
+from hapticd.core.units import DEFAULT_BAND_HZ, PROBE_RATE_HZ
+from hapticd.model.predict import frequencies
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import Impedance, impedance
 from hapticd.signal.spectra import DEFAULT_LAG

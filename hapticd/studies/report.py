@@ -10,11 +10,10 @@ from math import inf, isinf, isnan, nan
 
 import numpy as np
 
-from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.core.units import DEFAULT_BAND_HZ, PROBE_RATE_HZ
 from hapticd.model.discrete import AtLevel, Explanation
 from hapticd.model.scene import Scene
 from hapticd.render.winding import LEAST_LOOP_GAIN
-from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.effects import Cost
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.report.paper import Cell, Table, duration, legends, shown, table

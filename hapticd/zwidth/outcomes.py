@@ -38,13 +38,14 @@ import numpy as np
 from hapticd import __version__
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.predict import coulomb
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
+from hapticd.signal.verdict import NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of

@@ -46,12 +46,12 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.core.units import DEFAULT_BAND_HZ, PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters
 from hapticd.model.model import Model
-from hapticd.model.predict import DEFAULT_BAND_HZ, Prediction, predict, recorded_impedances
+from hapticd.model.predict import Prediction, predict, recorded_impedances
 from hapticd.model.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.config import validated
