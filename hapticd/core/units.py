@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 
 __all__ = [
     "COPPER_PER_K",
+    "DEFAULT_BAND_HZ",
     "NS_PER_MS",
     "NS_PER_S",
     "NS_PER_US",
