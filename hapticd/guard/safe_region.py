@@ -26,11 +26,11 @@ from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
 from hapticd.core.params import EnvironmentLimits, GuardSetup
 from hapticd.guard.transition_planner import AXES
-from hapticd.mailbox.client_side import WIDEST
 from hapticd.model.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
+from hapticd.protocol.limits import WIDEST
 
 __all__ = ["passive_ranges", "ranges_of"]
 

@@ -44,9 +44,8 @@ from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, Ser
 from hapticd.core.process import launch
 from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.client_side import WIDEST, environment_limits
 from hapticd.mailbox.daemons import console_place
-from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.limits import WIDEST, CommandLimits, environment_limits
 from hapticd.settings.build import (
     board_params,
     gateway_params,
