@@ -23,12 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import BoardParams, ServoParams, read_params
-from hapticd.core.process import die_with_parent, on_stop
+from hapticd.core.process import die_with_parent, on_stop, ordinary_scheduling, request_rights
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, MonotonicClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run.watchdog import notify, start_feeder
-from hapticd.servo import host
 from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.usb.device import Device
@@ -140,7 +139,7 @@ class Servo:
                 startup_message(f"not the board of the device file: {one}")
             for reason in filter(None, (check.uncompensated, check.unsampled)):
                 startup_message(reason)
-            plain = {name: one._asdict() for name, one in host.prepare(params.realtime).items()}
+            plain = {name: one._asdict() for name, one in request_rights(params.realtime).items()}
             mailbox.report({"realtime": plain, **self._about(), **check.report()})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")
@@ -151,7 +150,7 @@ class Servo:
             try:
                 self.loop.finish()  # in real time, like every tick: force may fade in it
             finally:
-                host.relax()
+                ordinary_scheduling()
 
     def _about(self) -> dict[str, Any]:
         """Return device and rate for the mailbox's report."""
