@@ -25,7 +25,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import EnvironmentLimits, GuardSetup
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.policies import answer_change
 from hapticd.guard.safe_region import (
     IDEAL_PERIODS,
@@ -41,6 +41,7 @@ from hapticd.model.angles import unresolved_hz
 from hapticd.model.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
+from hapticd.model.params import GuardSetup
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
 
 __all__ = ["Judge"]

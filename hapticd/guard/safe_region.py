@@ -24,11 +24,12 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
-from hapticd.core.params import EnvironmentLimits, GuardSetup
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.transition_planner import AXES
 from hapticd.model.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
+from hapticd.model.params import GuardSetup
 from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
 from hapticd.protocol.limits import WIDEST
 

@@ -41,7 +41,6 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import PlantParams
 from hapticd.model.blueprint import ZERO, Blueprint, Form, InputColumns
 from hapticd.model.discrete import (
     computable,
@@ -71,6 +70,7 @@ from hapticd.model.model import (
     Winding,
     frozen,
 )
+from hapticd.model.params import PlantParams
 from hapticd.model.scene import Scene
 from hapticd.model.step import SUBSTEPS_PER_TICK
 

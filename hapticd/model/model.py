@@ -30,7 +30,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hapticd.core.arrays import Floats
-from hapticd.core.params import (
+from hapticd.model.blueprint import InputColumns, Note, StateVariable
+from hapticd.model.params import (
     Contact,
     DriveLimits,
     Ends,
@@ -39,7 +40,6 @@ from hapticd.core.params import (
     OutputParams,
     RotorForce,
 )
-from hapticd.model.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
     "Contact",

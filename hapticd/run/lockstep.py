@@ -35,19 +35,13 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import AnalysisError, CommandError, ConfigError, LinkError, MailboxError
 from hapticd.core.faults import BY_NUMBER
-from hapticd.core.params import (
-    BoardParams,
-    RealtimeParams,
-    SafetyParams,
-    ServoParams,
-    UsbParams,
-    to_plain,
-)
+from hapticd.core.params import RealtimeParams, SafetyParams, ServoParams, UsbParams, to_plain
 from hapticd.core.units import PROBE_RATE_HZ, Clock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.model.params import BoardParams
 from hapticd.protocol.answers import Receipt
 from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.protocol.leases import MEASURING

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import BoardParams, ServoParams, read_params
+from hapticd.core.params import ServoParams, read_params
 from hapticd.core.process import die_with_parent, on_stop, ordinary_scheduling, request_rights
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, MonotonicClock
 from hapticd.mailbox import files, layout
@@ -35,11 +35,12 @@ from hapticd.usb.link import UsbLink
 from hapticd.usb.search import BoardSearch
 
 if TYPE_CHECKING:
+    from hapticd.model.params import BoardParams
     from hapticd.sim.backend import SimulatedBackend
 
 
 def simulated_backend(
-    params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
+    params: "BoardParams", clock: Clock, on_slip: Callable[[int], None] | None = None
 ) -> "SimulatedBackend":
     """Return a pyusb backend with one simulated board, and the faults in `params`.
 
@@ -63,7 +64,7 @@ def startup_message(text: str) -> None:
 class Servo:
     """The parts of one servo process."""
 
-    def __init__(self, params: ServoParams, board: BoardParams | None, clock: Clock) -> None:
+    def __init__(self, params: ServoParams, board: "BoardParams | None", clock: Clock) -> None:
         self.params = params
         self.clock = clock
         self.stopping = False
@@ -182,7 +183,11 @@ def main(arguments: list[str]) -> int:
         params = read_params(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
             raise ConfigError(f"{paths[0]} is marked as simulated; pass the board.json too")
-        board = read_params(BoardParams, paths[1]) if params.simulated else None
+        board = None
+        if params.simulated:
+            from hapticd.model.params import BoardParams  # a servo of a real board loads no model
+
+            board = read_params(BoardParams, paths[1])
         servo = Servo(params, board, MonotonicClock())
         on_stop(servo.stop)
         servo.run()

@@ -20,10 +20,8 @@ from support.delivered import (
 )
 
 from hapticd.core.arrays import Records
-from hapticd.core.params import (
-    InjectionParams,
-    ServoParams,
-)
+from hapticd.core.params import ServoParams
+from hapticd.model.params import InjectionParams
 
 
 def test_without_damping_nothing_is_delivered():

@@ -40,12 +40,12 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats, Values, aligned
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import HeatingParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, generator, torque_record
 from hapticd.model.loop import Filters
 from hapticd.model.model import Model
+from hapticd.model.params import HeatingParams
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import kernel, law_numbers, plant_numbers
