@@ -15,9 +15,8 @@ the scene's.
 
 A typed environment must be that of the file's record; only this package's own files contain theirs.
 
-Scenes (`Display`). A procedure needs the environment of a scene without walls, its damping level,
-its impedance, and the scene without an effect. `Display` is the device of a scene, composed once,
-with all predictions.
+Scenes (`Display`). A procedure needs the impedance of a scene in many environments. `Display` is
+the device of a scene, composed once, with all predictions.
 
 Z is measured as in the paper (noise at the probe, `signal.spectra`) on frequencies evenly spaced in
 ln f. They are on the grid of the paper's window, so the grid of a longer window contains them too.
