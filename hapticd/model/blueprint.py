@@ -26,8 +26,6 @@ from typing import NamedTuple
 
 from hapticd.model.params import HeatingParams
 
-__all__ = ["StateVariable"]
-
 
 class Coefficient(NamedTuple):
     """c = one + level b + residual r + both b r: b damping level, r residual resistance."""

@@ -20,19 +20,26 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.daemons import FIRST_CLIENT, living_report
-from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
+from hapticd.mailbox.layout import (
+    COMMAND_VALUES,
+    RECORD,
+    TELEMETRY,
+    TELEMETRY_HEAD_WORD,
+    State,
+    Value,
+    newer,
+)
 
 __all__ = ["RECORD_DTYPE", "STATES", "ServoView", "as_records", "configured", "joined"]
 
 # --- records --------------------------------------------------------------------------------------
 
 
-RECORD_DTYPE = np.dtype(list(layout.TELEMETRY))
-FIELDS: tuple[str, ...] = tuple(str(field[0]) for field in layout.TELEMETRY)
-assert RECORD_DTYPE.itemsize == layout.RECORD.size
+RECORD_DTYPE = np.dtype(list(TELEMETRY))
+FIELDS: tuple[str, ...] = tuple(str(field[0]) for field in TELEMETRY)
+assert RECORD_DTYPE.itemsize == RECORD.size
 
 
 def as_records(data: bytes) -> Records:

@@ -42,9 +42,6 @@ from hapticd.servo.slow_path import refiltered
 from hapticd.servo.step import make_step
 from hapticd.usb import codec, frames
 
-__all__ = ["Difference", "Segment", "difference", "replay"]
-
-
 # columns of a replay: the plan of each tick, then the results of step
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)

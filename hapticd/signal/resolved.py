@@ -75,8 +75,6 @@ from hapticd.signal.findings import (
 from hapticd.signal.impedance import Estimator, impedance
 from hapticd.signal.spectra import Spectra
 
-__all__ = ["resolved"]
-
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
 NARROWER = 0.5  # times the width, of the fit that measures the bias
 BIAS = 2.0  # times the difference of the two: 8/7 where Q is smooth, more where it bends within it

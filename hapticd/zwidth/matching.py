@@ -22,8 +22,6 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
 
-__all__ = ["Gap", "fitting", "interpolated"]
-
 FLAT = 1e-6  # of the mean variance: below it the stretch has no signal
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once

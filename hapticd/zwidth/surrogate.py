@@ -39,8 +39,6 @@ import numpy.typing as npt
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 
-__all__ = ["Box", "Observation", "margin"]
-
 Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
 
 LENGTHS = (0.15, 0.2, 0.3, 0.45, 0.7, 1.2)  # of the unit box
