@@ -153,7 +153,7 @@ class Transitions:
         self._last = (0, 0)
         self._changes = 0  # of the environment, as last seen
         self._law = 0  # actor whose law moves the proxy
-        self._longest_ticks = view.params.safety.proxy_timeout_s * view.params.realtime.rate_hz
+        self._longest_slots = view.params.safety.proxy_timeout_s * view.params.realtime.rate_hz
         self._stayed_ns = -CALM_NS  # time of the last record in which the proxy stays
 
     def follow(self, block: RingBlock) -> None:
@@ -218,8 +218,8 @@ class Transitions:
         """Return why the law does not move the proxy in the record `at`."""
         if at["state"] != State.ENABLED or at["lease_control"] != self._law:
             return "proxy_lease" if at["state"] == State.ENABLED else "proxy_stopped"
-        asked = max((one for one in self._view.proxied_ticks if one <= at["tick"]), default=-1)
-        return "proxy_silent" if at["tick"] - asked > self._longest_ticks else "proxy_energy"
+        asked = max((one for one in self._view.proxied_slots if one <= at["slot"]), default=-1)
+        return "proxy_silent" if at["slot"] - asked > self._longest_slots else "proxy_energy"
 
     def _note(self, record: np.void, before: int) -> None:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])

@@ -136,7 +136,7 @@ class ServoView:
         self._head = 0
         self._first_head = -1  # at the first read of this life; -1: not yet read
         self._promised = 0
-        self.proxied_ticks = deque([-1], maxlen=64)  # newest ones when clients moved the proxy
+        self.proxied_slots = deque([-1], maxlen=64)  # newest ones when clients moved the proxy
         self.led_by = 0  # actor whose request led to the present state; 0: none, or unknown
 
     @property

@@ -18,7 +18,8 @@ from hapticd.gateway.publisher import Transitions, state_map
 from hapticd.mailbox.layout import Flag
 from hapticd.protocol.answers import Event, Status, answer_of
 from hapticd.protocol.codec import Encoding, encode
-from hapticd.protocol.telemetry import Feed
+from hapticd.protocol.telemetry import Feed, RingBlock
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 
 BOARD: BoardParams = board_params(lower_stop_m=-0.03, upper_stop_m=0.03, viscous_ns_per_m=2.0)
@@ -96,6 +97,18 @@ def test_silent_law_is_told_with_the_place_of_the_proxy() -> None:
         assert "(actor" in followed.told[-1].text
         assert followed.status.proxy_held is True
         assert followed.status.proxy_m == followed.view.record["proxy_m"]
+
+
+def test_lost_periods_count_as_time_without_a_position() -> None:
+    with begun() as followed:
+        followed.moves(60)
+        record = as_records(followed.stack.run(1)).copy()
+        record["flags"] = Flag.PROXY_HELD
+        record["slot"] += 150
+        block = RingBlock(followed.view.life, 0, 0, record.tobytes(), record)
+        followed.transitions.follow(block)
+        followed.run()
+        assert followed.codes == ["proxy_taken", "proxy_silent"]
 
 
 def test_slow_law_that_goes_on_at_once_was_silent_and_had_energy() -> None:
