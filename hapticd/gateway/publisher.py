@@ -182,8 +182,7 @@ class Transitions:
         changes = records["environment_revision"]
         before = np.concatenate(([self._changes], changes[:-1]))
         own = (changes != before) & (records["actor"] == 0)
-        for place in np.flatnonzero(own & (records["flags"] & Flag.CONTROLLED != 0)).tolist():
-            record = records[place]
+        for record in records[own & (records["flags"] & Flag.CONTROLLED != 0)]:
             self._journal.note(
                 "controlled",
                 unix_ns=int(record["time_ns"]) + self._view.unix_offset_ns,
@@ -316,11 +315,14 @@ class Publisher:
         """Return whether a lamp has changed, so that `messages` should not wait for a
         whole batch.
         """
-        may = bool(self._lamps) and now_ns - self._early_ns >= EARLY_NS
-        return may and self._view.alive and self._shown() != self._lamps
+        return (
+            self._view.alive
+            and now_ns - self._early_ns >= EARLY_NS
+            and self._lamps not in ((), self._shown())
+        )
 
     def _shown(self) -> tuple[Any, ...]:
-        values = (self._view.record.get(name) for name in LAMPS)
+        values = map(self._view.record.get, LAMPS)
         return tuple(value if value == value else None for value in values)  # unknown stays so
 
     def messages(self, now_ns: int, unix_ns: int, ended: bool = False) -> list[Message]:
@@ -391,11 +393,9 @@ class Publisher:
         """Warn if too little active damping is delivered, and request the fault if it is needed."""
         for low in self._delivered.take(block.records):
             if low.warn:
-                self._journal.note(
-                    "damping_low",
-                    percent=100.0 * (low.estimate.ratio or 0.0),
-                    delivered=low.estimate._asdict(),
-                )
+                percent = 100.0 * (low.estimate.ratio or 0.0)
+                found = low.estimate._asdict()
+                self._journal.note("damping_low", percent=percent, delivered=found)
             if low.fault and self._view.mailbox:
                 self._view.mailbox.post(Command.FAULT, GATEWAY_ACTOR, 0, NOT_DELIVERED)
 

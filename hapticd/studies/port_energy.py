@@ -297,12 +297,15 @@ def run_port_energy(
         for name, base in BASES.items()
         if (scene.name, base) in known and isfinite(known[scene.name, AS_IT_IS].stiffness_n_per_m)
     ]
-    remedies = {one.name: one for one in params.remedies}
     steps = Steps(tell, len(asked))
     found = []
     for name, scene, first, base in asked:
         steps.next(f"{scene.name}, {name}: energy at the port")
-        own = treated(scene, remedies[base.remedy], base.corner_hz)
+        own = treated(
+            scene,
+            next(one for one in params.remedies if one.name == base.remedy),
+            base.corner_hz,
+        )
         best = first.stiffness_n_per_m, first.virtual_damping_ns_per_m
         key = fingerprint((__version__, "energy at the port", name, own, best, params.quick))
         if key not in store.known:
