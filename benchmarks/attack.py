@@ -36,18 +36,10 @@ from benchmarks import targets
 from benchmarks.attack_watch import DTYPE, Given, Violation, Watch
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
-from hapticd.core.params import (
-    BoardParams,
-    HandParams,
-    HomeParams,
-    InjectionParams,
-    SafetyParams,
-    ScaleParams,
-    ServoParams,
-    TouchParams,
-)
+from hapticd.core.params import HomeParams, SafetyParams, ScaleParams, ServoParams
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, State, Value, values_of
+from hapticd.model.params import BoardParams, HandParams, InjectionParams, TouchParams
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params
 

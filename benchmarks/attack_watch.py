@@ -27,10 +27,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.model.composed import POSITION
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import GRANTED, LATCHED

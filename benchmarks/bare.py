@@ -10,8 +10,9 @@ from array import array
 from dataclasses import replace
 
 from benchmarks.tick_reference import ReferenceTick
-from hapticd.core.params import BoardParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.core.units import Clock, VirtualClock
+from hapticd.model.params import BoardParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import control_replies
 from hapticd.usb import codec, frames

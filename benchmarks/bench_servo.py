@@ -11,12 +11,13 @@ from pathlib import Path
 
 from benchmarks.records import place
 from benchmarks.worker import BenchError
-from hapticd.core.params import BoardParams, ServoParams, from_plain
+from hapticd.core.params import ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, NS_PER_US, MonotonicClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.model.params import BoardParams
 from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.plan import SETTLED

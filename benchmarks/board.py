@@ -16,8 +16,8 @@ from benchmarks.bare import empty_link
 from benchmarks.blocks import quantile
 from benchmarks.figures import Figure, compared
 from benchmarks.lockstep import lockstep_figure
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US, VirtualClock
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.run.lockstep import scene_params
 from hapticd.run.servo_main import simulated_backend

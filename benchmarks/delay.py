@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
-from hapticd.core.params import BusParams
 from hapticd.mailbox.layout import Command, Result
+from hapticd.model.params import BusParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params

@@ -19,10 +19,9 @@ from examples.weir2008.future_work import SearchCheck, compared_with_grid
 from examples.weir2008.paper import LEVELS
 from hapticd.model.loop import derivatives, held_force_model
 from hapticd.settings.scene import load_scene
-from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
-from hapticd.signal.surrogate import Box, Observation
+from hapticd.zwidth.acquisition import Search, first_trials, next_trials, predicted_passive
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.sources import noise
+from hapticd.zwidth.surrogate import Box, Observation
 
 TARGETS = targets.of("directed")
 BEND = {"search_nonaffine": 1.0, "search_affine": 0.0}
@@ -54,7 +53,7 @@ def measure() -> Iterator[Figure]:
 
 def _weir() -> Iterator[Figure]:
     scene = load_scene(SCENE)
-    conditions = Conditions(scene, 90.0, noise(scene))
+    conditions = Conditions(scene, 90.0, scene.noise)
     levels = [compared_with_grid(conditions, level, BUDGETS) for level in LEVELS]
     shares = "; ".join(map(_summary, levels))
     note = f"wrong yes or no on {levels[0].points} grid points each, {shares}"

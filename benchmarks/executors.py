@@ -21,7 +21,6 @@ from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import TOGETHER, Conditions
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("executors")
@@ -85,7 +84,7 @@ def _map(tasks: int) -> MapPlan:
         np.linspace(2.0, 9.0, 8),
         np.linspace(-0.02, 0.02, TOGETHER // 8),
     )
-    return plan_map(MapParams(Conditions(scene, excitation=noise(scene)), axes, (1.74,), NEAR))
+    return plan_map(MapParams(Conditions(scene, excitation=scene.noise), axes, (1.74,), NEAR))
 
 
 def _taken_s(plan: MapPlan, pool: Executor | None) -> float:

@@ -30,18 +30,12 @@ from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import BenchError
 from hapticd.core.faults import BY_CODE, BY_NUMBER
-from hapticd.core.params import (
-    BoardParams,
-    HandParams,
-    InjectionParams,
-    ScaleParams,
-    ServoParams,
-    TouchParams,
-)
+from hapticd.core.params import ScaleParams, ServoParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Value
 from hapticd.model.composed import VELOCITY
+from hapticd.model.params import BoardParams, HandParams, InjectionParams, TouchParams
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params

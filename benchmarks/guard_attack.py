@@ -40,10 +40,11 @@ from benchmarks.figures import Figure, compared
 from benchmarks.guard_flown import Flight, flown
 from benchmarks.guard_requests import Answering, Asked, fly
 from benchmarks.guard_verdict import FURTHER, Bench, grows
-from hapticd.core.params import GuardSetup, ServoParams, from_plain
+from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.judge import Judge
 from hapticd.mailbox import files
 from hapticd.model.bases import model_of
+from hapticd.model.params import GuardSetup
 from hapticd.run.supervisor import resolve
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import Override, load

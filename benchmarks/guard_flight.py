@@ -27,10 +27,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.stand import settings
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.mailbox import layout
 from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import Delay, Effect, Load, Masses, Motor, PassiveHand, Viscous
+from hapticd.model.params import BoardParams
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params

@@ -18,13 +18,14 @@ import numpy as np
 
 from benchmarks.worker import serve
 from hapticd.core.arrays import Flags, Floats
-from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
+from hapticd.core.params import RealtimeParams, from_plain
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion
 from hapticd.guard.transition_planner import Segment, from_message, sampled_segment
 from hapticd.mailbox.files import GUARD_JSON
 from hapticd.model import bases
 from hapticd.model.bases import Conditions, Theorem
+from hapticd.model.params import GuardSetup
 from hapticd.model.theorem import Circles, circles, lifted_system, outside_circles
 
 POINTS = 20

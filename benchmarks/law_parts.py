@@ -1,4 +1,4 @@
-"""A tick of the law with a part of `hapticd.render.parts`, in CPython on recorded positions. CPU
+"""A tick of the law with a part of `zwidth.engine.parts`, in CPython on recorded positions. CPU
 time of its thread.
 
 The yardstick is the law without a part on the same positions, in turns, minimum of the rounds of
@@ -16,7 +16,10 @@ from benchmarks.figures import Figure, compared
 from hapticd.core.arrays import Floats
 from hapticd.core.units import NS_PER_US
 from hapticd.model.scene import Scene
-from hapticd.render.parts import (
+from hapticd.settings.scene import load_scene
+from hapticd.studies.felt import played
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import (
     WINDOW,
     LawPart,
     foaw_part,
@@ -25,9 +28,6 @@ from hapticd.render.parts import (
     observer_part,
     tank_part,
 )
-from hapticd.settings.scene import load_scene
-from hapticd.studies.felt import played
-from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import display
 
 TARGETS = targets.of("law_parts")

@@ -15,8 +15,9 @@ from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.tick_reference import yardstick
 from benchmarks.worker import BenchError
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import RECORD, Command, Result, Value
+from hapticd.model.params import BoardParams
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params
 

@@ -25,7 +25,6 @@ from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("map_6384")
@@ -75,7 +74,7 @@ class Yardstick:
 def measure() -> Iterator[Figure]:
     """Measure both levels, including prediction, with kernels compiled before."""
     scene = load_scene(SCENE)
-    conditions = Conditions(scene, SECONDS, noise(scene))
+    conditions = Conditions(scene, SECONDS, scene.noise)
     few = tuple(axis[:2] for axis in AXES)
     run_map(
         plan_map(MapParams(conditions, (few[0], few[1], few[2]), LEVELS_NS_PER_M, everywhere=True)),

@@ -12,8 +12,8 @@ from array import array
 from math import pi, sin
 from statistics import median
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import US_PER_S
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import hello
 from hapticd.usb import codec, frames
 from hapticd.usb.codec import Link

@@ -19,7 +19,7 @@ from hapticd.model.loop import port_states
 from hapticd.model.model import Model
 from hapticd.model.predict import coulomb, frequencies, predict
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import grid
+from hapticd.zwidth.passive_set import grid
 
 TARGETS = targets.of("predict_map")
 AXES = (np.linspace(0.0, 1100.0, 12), np.linspace(-1.0, 8.0, 19), np.linspace(-0.024, 0.03, 28))

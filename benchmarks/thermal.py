@@ -27,9 +27,10 @@ import numpy.typing as npt
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
-from hapticd.core.params import BoardParams, HandParams, ServoParams, TouchParams
+from hapticd.core.params import ServoParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import BoardParams, HandParams, TouchParams
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import Override, load

@@ -16,9 +16,10 @@ from benchmarks.records import place
 from benchmarks.tick_c import CReference, check_same_work
 from benchmarks.tick_reference import yardstick
 from benchmarks.worker import serve
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.core.units import MonotonicClock
 from hapticd.mailbox import layout
+from hapticd.model.params import BoardParams
 from hapticd.run.servo_main import simulated_backend
 from hapticd.servo.late import first_deadline
 from hapticd.usb import codec, frames

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.params import RealtimeParams
-from hapticd.servo import host
+from hapticd.core.process import ordinary_scheduling, request_rights
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARIES = Path(sysconfig.get_path("purelib"))
@@ -126,9 +126,9 @@ def serve(
     begin: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the worker: take real-time rights, begin, report them, answer until stdin ends."""
-    granted = host.prepare(realtime)
+    granted = request_rights(realtime)
     begin()
     print(json.dumps({name: one._asdict() for name, one in granted.items()}), flush=True)
     for line in sys.stdin:
         print(json.dumps(answer(json.loads(line))), flush=True)
-    host.relax()
+    ordinary_scheduling()

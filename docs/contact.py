@@ -50,11 +50,11 @@ from hapticd.model.coupled import at_port  # noqa: E402
 from hapticd.model.predict import predicted_impedance  # noqa: E402
 from hapticd.model.scene import Excitation, Scene  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
-from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.studies.port_energy import SECONDS, drawn, hand_of, pushed_n  # noqa: E402
 from hapticd.zwidth.engine.batch import simulate  # noqa: E402
 from hapticd.zwidth.engine.contact import ContactDamping  # noqa: E402
 from hapticd.zwidth.limits import REACH  # noqa: E402
+from hapticd.zwidth.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.report.style import WIDTH_IN, Colour, axes, styled  # noqa: E402
 from hapticd.zwidth.sources import SUBSTEPS, display  # noqa: E402
 from hapticd.zwidth.store import TrialStore, fingerprint, to_json  # noqa: E402

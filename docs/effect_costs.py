@@ -23,7 +23,7 @@ from hapticd.core.units import NS_PER_S
 from hapticd.model.effects import ALWAYS, KINDS
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.settings.scene import load_files, load_scene
-from hapticd.studies.accuracy import GROUP
+from hapticd.studies.effects import GROUP
 from hapticd.zwidth.engine.batch import simulate
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"

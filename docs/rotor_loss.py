@@ -27,7 +27,7 @@ from examples.weir2008.paper import LEVELS, MAIN, PAPER
 from examples.weir2008.run import conditions
 from hapticd.core.arrays import Flags, Floats
 from hapticd.model.blueprint import StateVariable
-from hapticd.model.model import Array, Model, Output, Outputs, frozen
+from hapticd.model.model import Model, Output, Outputs, frozen
 from hapticd.signal.verdict import judge
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
@@ -83,7 +83,7 @@ def _force(place: int) -> StateVariable:
 def _outputs(outputs: Outputs, more: int) -> Outputs:
     """Return the same outputs of a model with `more` states, which no output contains."""
 
-    def longer(row: Array) -> Array:
+    def longer(row: Floats) -> Floats:
         return frozen(np.pad(row, (0, more)))
 
     given = {item.name: getattr(outputs, item.name) for item in fields(Outputs)}

@@ -36,9 +36,9 @@ from hapticd.model.bases import Conditions, Theorem  # noqa: E402
 from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
 from hapticd.model.scene import Scene  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
-from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, predicted_limit  # noqa: E402
 from hapticd.zwidth.outcomes import Point  # noqa: E402
+from hapticd.zwidth.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.report.style import PREDICTED, WIDTH_IN, Colour, axes, styled  # noqa: E402
 from hapticd.zwidth.sources import display  # noqa: E402
 

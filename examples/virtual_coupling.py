@@ -6,9 +6,9 @@ with the largest mass that the display renders by itself.
 import argparse
 
 import numpy as np
-from connect import arguments, connected
+from connect import arguments, connected, judged, permitted
 
-from hapticd.client import Client, CommandError
+from hapticd.client import Client
 from hapticd.protocol.answers import Coupling
 
 MASS_KG = 2.4
@@ -53,10 +53,9 @@ def greatest_mass(device: Client) -> float:
     low, high = 0.0, 1.0
     while high - low > 1e-4:
         middle = 0.5 * (low + high)
-        try:
-            device.set(M=middle)
+        if permitted(device, M=middle):
             low = middle
-        except CommandError:
+        else:
             high = middle
     device.set(M=0.0)
     return low
@@ -83,7 +82,7 @@ def main(asked: argparse.Namespace) -> None:
         print(f"M alone: at most {1e3 * greatest_mass(device):.1f} g are passive")
         device.set(K=STIFFNESS_N_PER_M)
         device.perturb_load(FORCE_N * np.sum(tones, axis=0))
-        device.enable()
+        judged(device.enable)
         device.perturb_start(loop=True)
         last = device.follow_law(law, RATE_HZ, 1.5 * SECONDS)
         device.disable()

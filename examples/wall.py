@@ -4,22 +4,22 @@ damping, and render it.
 
 import argparse
 
-from connect import arguments, connected
+from connect import arguments, connected, judged, permitted
 
-from hapticd.client import Client, CommandError
+from hapticd.client import Client
 
 
 def greatest(device: Client, damping: float) -> float:
-    """Return the maximum stiffness [N/m] of the wall, by bisection with the guard's refusals."""
+    """Return the maximum stiffness [N/m] of the wall, by bisection with the guard's verdicts."""
     low = 0.0
     high = 5000.0
     device.damping(damping)
     while high - low > 10.0:
         middle = 0.5 * (low + high)
-        try:
-            device.set(wall={"stiffness_n_per_m": middle, "position_m": 1e-3, "side": 1})
+        wall = {"stiffness_n_per_m": middle, "position_m": 1e-3, "side": 1}
+        if permitted(device, wall=wall):
             low = middle
-        except CommandError:
+        else:
             high = middle
     return low
 
@@ -31,7 +31,7 @@ def main(asked: argparse.Namespace) -> None:
         device.lease("environment", at_end="disable"),
     ):
         device.set(K=0, B=0, M=0, ramp_s=0)  # at once: force on begins without an environment
-        device.enable()
+        judged(device.enable)
         for damping in (0.0, 1.74):
             stiffness = greatest(device, damping)
             print(f"with {damping:g} N s/m of active damping: a wall of {stiffness:.0f} N/m")

@@ -132,8 +132,8 @@ def recorded_run() -> "RecordedFlight":
     from support.boards import board_params
     from support.recorded import RecordedFlight
 
-    from hapticd.core.params import InjectionParams
     from hapticd.mailbox.layout import Command, Value
+    from hapticd.model.params import InjectionParams
 
     injections = (
         InjectionParams("drop_in", tick=1500, count=2),

@@ -42,10 +42,11 @@ import hapticd.cli
 from hapticd.cli.app import main as hapticd_main
 from hapticd.client import Client
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import BoardParams, ServoParams, read_params
+from hapticd.core.params import ServoParams, read_params
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.core.units import MonotonicClock
 from hapticd.mailbox.files import runtime_folder
+from hapticd.model.params import BoardParams
 from hapticd.rig.result import Action, Request, asked_at
 from hapticd.run import servo_main
 from hapticd.run.supervisor import Supervisor, spawn

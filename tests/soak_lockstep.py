@@ -31,9 +31,9 @@ from support.models import servo_params
 
 from benchmarks.attack import Operator
 from hapticd.core.faults import BY_NUMBER
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import State
+from hapticd.model.params import InjectionParams
 from hapticd.run.lockstep import LockStep
 
 RESULT = ROOT / "build" / "soak_lockstep.json"

@@ -18,7 +18,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hapticd"
 MOTOR = ("core", "render", "mailbox", "usb", "settings", "protocol", "guard", "servo", "gateway")
-LIMITS = {"statements": 35_500, "private_names": 0, "longest_function": 120}
+LIMITS = {
+    "files": 254,
+    "statements": 35_500,
+    "names": 752,
+    "private_names": 0,
+    "longest_function": 120,
+}
 # the hot loop: closures over locals and code without calls save time in each tick
 HOT = {"servo/loop.py", "servo/step.py", "usb/device.py"}
 

@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 
 from hapticd import load_scene
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.loop import spectral_radius
 from hapticd.model.scene import Excitation, Scene
-from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.zwidth.limits import predicted_limit
-from hapticd.zwidth.sources import Display, display, noise
+from hapticd.zwidth.sources import Display, display
 
 __all__ = ["BAND_HZ", "SECONDS", "TrialSpec", "known", "specs", "truth_json", "truth_of"]
 
@@ -119,7 +119,7 @@ class TrialSpec:
     @property
     def excitation(self) -> Excitation:
         """The noise of its probe."""
-        return replace(noise(self.scene), seed=self.seed)
+        return replace(self.scene.noise, seed=self.seed)
 
 
 def scene_of(device: str) -> Scene:

@@ -34,7 +34,7 @@ from examples.weir2008.run import (
     Peak,
     ReproduceResult,
 )
-from hapticd.signal.passive_set import PassiveSet
+from hapticd.zwidth.passive_set import PassiveSet
 from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.passive_set import draw_predicted

@@ -31,8 +31,8 @@ from examples.weir2008.future_work import (
 from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from examples.weir2008.run import SECONDS
 from hapticd.core.arrays import Floats
-from hapticd.signal.passive_set import Edge
 from hapticd.signal.verdict import student_quantile
+from hapticd.zwidth.passive_set import Edge
 from hapticd.zwidth.report.envelope import keys, strip, weightiest
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (

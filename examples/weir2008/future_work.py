@@ -56,9 +56,8 @@ from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import ShapedDamping
 from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system
-from hapticd.signal.compare import mean_over_ln_f
-from hapticd.signal.passive_set import Edge, PassiveSet, grid
-from hapticd.signal.search import predicted_passive
+from hapticd.zwidth.acquisition import predicted_passive
+from hapticd.zwidth.compare import mean_over_ln_f
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (
@@ -70,6 +69,7 @@ from hapticd.zwidth.outcomes import (
     outcomes_of,
     points_of,
 )
+from hapticd.zwidth.passive_set import Edge, PassiveSet, grid
 from hapticd.zwidth.search import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.zwidth.sources import Display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent

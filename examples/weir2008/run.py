@@ -42,11 +42,10 @@ from examples.weir2008.paper import (
 )
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
+from hapticd.core.units import DEFAULT_BAND_HZ, PROBE_RATE_HZ
+from hapticd.model.predict import frequencies
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import Impedance, impedance
-from hapticd.signal.passive_set import Envelope, grid
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.limits import (
@@ -60,8 +59,9 @@ from hapticd.zwidth.limits import (
 )
 from hapticd.zwidth.map import Axes, LevelMap, MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, Point, points_of
+from hapticd.zwidth.passive_set import Envelope, grid
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Display, Trial, noise
+from hapticd.zwidth.sources import Display, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls
@@ -238,7 +238,7 @@ def conditions(device: str) -> Conditions:
     first seed is 1.
     """
     scene = load_scene(SCENES[device])
-    return Conditions(scene, SECONDS, replace(noise(scene), seed=1))
+    return Conditions(scene, SECONDS, replace(scene.noise, seed=1))
 
 
 def run_reproduce(

@@ -14,8 +14,8 @@ from dataclasses import replace
 from functools import cache
 
 from firmware_iface.hardware.device_file import NAME
-from hapticd.core.params import BoardParams
 from hapticd.model.effects import AmplifierLimits, Effect, Load
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.settings.build import board_of, device_effects
 from hapticd.zwidth.sources import device_file

@@ -24,7 +24,7 @@ with terminal.deferred_imports():
     from hapticd.sim import board, injection, usb_device, usbip
     from hapticd.studies import accuracy as accuracies
     from hapticd.studies import effects as effect_studies
-    from hapticd.studies import port_energy, report
+    from hapticd.studies import port_energy, report, report_methods
     from hapticd.studies import remedies as remedy_studies
     from hapticd.studies import scene as scene_studies
     from hapticd.zwidth import sources as displays
@@ -117,7 +117,7 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     loaded = scenes.load_scene(scene)
     levels = sorted({step.level_ns_per_m for step in loaded.active_damping})
     found = discrete.explain(compose.compose(loaded), levels)
-    spent = accuracies.cost(loaded, scene, time.process_time_ns)
+    spent = effect_studies.cost(loaded, scene, time.process_time_ns)
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
     lines = [
         f"{_head(loaded)}, {size}",
@@ -162,7 +162,7 @@ def sim_effects(
     paths = []
     if plot:
         name = f"{loaded.name}-effects-{question}"
-        figure = report.effects_figure(result, figure_width)
+        figure = report_methods.effects_figure(result, figure_width)
         paths = terminal.save_figure(figure, out, name, as_json)
     found = {
         "simulated": True,
@@ -172,8 +172,10 @@ def sim_effects(
         **store.to_json(result, skip=("plan",)),
         "figures": paths,
     }
-    effects = paper.text(report.effects_table(result))
-    terminal.show(found, [f"{_head(loaded)}\n\n{effects}\n", report.effects_words(result)], as_json)
+    effects = paper.text(report_methods.effects_table(result))
+    terminal.show(
+        found, [f"{_head(loaded)}\n\n{effects}\n", report_methods.effects_words(result)], as_json
+    )
 
 
 def share(text: str) -> float:
@@ -224,7 +226,7 @@ def accuracy(
     paths = []
     if plot:
         figures = {
-            "accuracy": report.accuracy_figure(result, figure_width),
+            "accuracy": report_methods.accuracy_figure(result, figure_width),
             "integrators": report.integrators_figure(explicit, loaded.title, figure_width),
         }
         for name, figure in figures.items():
@@ -238,8 +240,8 @@ def accuracy(
         "integrators": store.to_json(explicit),
         "figures": paths,
     }
-    measured = paper.text(report.accuracy_table(result))
-    lines = [f"{_head(loaded)}\n\n{measured}\n", *report.accuracy_words(result)]
+    measured = paper.text(report_methods.accuracy_table(result))
+    lines = [f"{_head(loaded)}\n\n{measured}\n", *report_methods.accuracy_words(result)]
     terminal.show(found, lines, as_json)
 
 
@@ -286,7 +288,7 @@ def remedies(
     found = {"simulated": True, "quick": quick, "seconds": seconds, "seeds": seeds}
     found |= {"rows": store.to_json(rows), "energy": store.to_json(energies)}
     common.write_summary(folder, {"kind": "remedies", **found})
-    tables = report.remedies_table(rows), report.port_energy_table(energies)
+    tables = report_methods.remedies_table(rows), report_methods.port_energy_table(energies)
     lines = [*map(paper.text, tables), REMEDIES_NOTE]
     common.show_result(found, lines, folder, (), as_json)
 

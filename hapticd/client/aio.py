@@ -24,7 +24,7 @@ import zmq
 import zmq.asyncio
 from numpy.typing import ArrayLike
 
-from hapticd.client.blocks import Block, Excerpt, Records, concatenated
+from hapticd.client.blocks import Block, Excerpt, concatenated
 from hapticd.client.client import RENEWALS, lost_error, renews_again
 from hapticd.client.commands import Ask, Commands, Exchange, Pause, T, hand_event, loaded, reached
 from hapticd.client.sequence import AtRefusal, Step, StepReceipt
@@ -43,6 +43,7 @@ from hapticd.client.telemetry import (
     silence,
     socket_file,
 )
+from hapticd.core.arrays import Records
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S

@@ -8,14 +8,14 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_S
 
-__all__ = ["Block", "BlockDecoder", "Records"]
+__all__ = ["Block", "BlockDecoder"]
 
-Records = NDArray[np.void]
 # 32 kB as float32, half of what a message may hold
 CHUNK_SAMPLES = 8192  # of a waveform, in one message
 STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
@@ -34,6 +34,18 @@ class Block:
     #: everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
     #: `time_ns` for Unix time) or, for the probe, `scale`
     header: dict[str, Any]
+
+    def signals(self) -> Floats:
+        """Return force [N] and velocity [m/s] (2, n) of the probe. KeyError for another topic."""
+        scales = {name: self.header["scale"][name] for name in ("torque", "velocity")}
+        return np.stack(
+            [
+                one["sign"]
+                * (self.records[name].astype(np.float64) - one["offset_count"])
+                * one["per_count"]
+                for name, one in scales.items()
+            ]
+        )
 
 
 @lru_cache(maxsize=8)

@@ -47,7 +47,7 @@ from typing import Any, NamedTuple, Self, TextIO
 
 import numpy as np
 
-from hapticd.client.blocks import Records
+from hapticd.core.arrays import Records
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.protocol.answers import Receipt
 

@@ -31,7 +31,8 @@ from hapticd.protocol.answers import Event, GuardVerdict, Receipt, answer_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
-    from hapticd.client.blocks import Block, Records
+    from hapticd.client.blocks import Block
+    from hapticd.core.arrays import Records
 
 __all__ = ["accepted", "receipt_of"]
 

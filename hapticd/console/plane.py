@@ -19,9 +19,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hapticd.core.params import GuardSetup, from_plain
+from hapticd.core.params import from_plain
 from hapticd.core.process import die_with_parent
 from hapticd.mailbox.files import GUARD_JSON
+from hapticd.model.params import GuardSetup
 
 MODULE = f"{__package__}.plane"
 NICENESS = 10  # of the worker

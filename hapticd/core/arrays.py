@@ -18,6 +18,7 @@ __all__ = [
     "Flags",
     "Floats",
     "Integers",
+    "Records",
     "Values",
     "aligned",
     "alternating",
@@ -29,6 +30,7 @@ Floats = npt.NDArray[np.float64]  # SI values
 Complexes = npt.NDArray[np.complex128]  # responses, transforms, impedances
 Flags = npt.NDArray[np.bool_]  # one truth value for each item
 Integers = npt.NDArray[np.int64]  # indices of another array
+Records = npt.NDArray[np.void]  # rows of named fields
 Values = npt.NDArray[np.floating[Any]]  # float32 or float64, as the batch has them
 
 CACHE_LINE = 64  # bytes; vector loads across its border cost twice as much

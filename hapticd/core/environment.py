@@ -14,10 +14,10 @@ of a change. Every translation is derived from the table.
 
 Limits (`Constraints`). A setting declares its own: `rate_hz: Annotated[float, Constraints(ge=50)]`.
 
-The parameters of one TOML table (`TableParams`) are declared once, in `core.params`: fields are
-keys, defaults are those of the file, and attribute docstrings describe a key in the JSON schema.
-`settings` passes these classes to pydantic, which calls their methods. No code here imports
-pydantic, and the servo process runs without it.
+The parameters of one TOML table (`TableParams`) are declared once, in `core.params` or
+`model.params`: fields are keys, defaults are those of the file, and attribute docstrings describe a
+key in the JSON schema. `settings` passes these classes to pydantic, which calls their methods. No
+code here imports pydantic, and the servo process runs without it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -38,6 +38,7 @@ __all__ = [
     "Constraints",
     "Environment",
     "FilterParams",
+    "Microseconds",
     "NotNegative",
     "Point",
     "Positive",

@@ -13,6 +13,7 @@ from abc import ABC, abstractmethod
 
 __all__ = [
     "COPPER_PER_K",
+    "DEFAULT_BAND_HZ",
     "NS_PER_MS",
     "NS_PER_S",
     "NS_PER_US",
@@ -34,6 +35,7 @@ NS_PER_MS = 1_000_000
 # relative resistance change of copper per kelvin (the paper prints "percent", and means 0.393 %/K)
 COPPER_PER_K = 0.00393
 PROBE_RATE_HZ = 4000  # the board's own sample clock for perturbation and probe
+DEFAULT_BAND_HZ = (2.0, 500.0)  # of a prediction and of a verdict, as in Weir 2008
 
 
 def round_half_up(value: float) -> int:

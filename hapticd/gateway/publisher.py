@@ -13,6 +13,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
+from hapticd.core.arrays import Records
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
@@ -25,8 +26,9 @@ from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, EventCode, Journal
 from hapticd.protocol.leases import Leases
+from hapticd.protocol.ledger import Ledger
 from hapticd.protocol.telemetry import Feed, Origin, ProbeDecoder, RingBlock, Subscriptions
-from hapticd.protocol.view import STATES, Ledger, Records, ServoView
+from hapticd.protocol.view import STATES, ServoView
 
 __all__ = ["state_map"]
 

@@ -24,11 +24,12 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import LEAST_IDLE_SHARE, DeviceParams
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import STAGES, LateCause
 from hapticd.protocol.answers import Room
-from hapticd.protocol.view import Records, joined
+from hapticd.protocol.view import joined
 from hapticd.render.winding import LEAST_LOOP_GAIN, loop_gain, ohm
 
 PER_DECADE = 40

@@ -27,5 +27,6 @@ A request passes through these modules:
                         environment in force, from the newest record and the last answer; the loop
                         delay of the last minute
     delivered           the active damping that the board delivers
+    delivered_estimate  its estimate from sums of products, with an interval
     worker              the worker process, and the connection to it
 """

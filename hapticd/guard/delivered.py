@@ -1,6 +1,6 @@
 """Estimate the active damping that the board delivers, and report a shortfall.
 
-The records of the last 4 s are reduced to 16 blocks of sums of products. `signal.delivered` makes
+The records of the last 4 s are reduced to 16 blocks of sums of products. `delivered_estimate` makes
 an estimate with an interval from them. A sample counts only if the board latched it itself, inside
 the range of its converters, while it grants torque. All samples belong to one level of damping. A
 block without information replaces an old one too, so the estimate ages.
@@ -19,11 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats, Records
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
-from hapticd.mailbox.layout import Flag
-from hapticd.protocol.view import CONTEXT, Records, joined, samples
-from hapticd.signal.delivered import (
+from hapticd.guard.delivered_estimate import (
     SIMPSON,
     WINDOW,
     Block,
@@ -31,7 +29,9 @@ from hapticd.signal.delivered import (
     Estimate,
     estimate,
 )
-from hapticd.signal.ledger import Table, smoothed
+from hapticd.mailbox.layout import Flag
+from hapticd.protocol.ledger import CONTEXT, samples, smoothed
+from hapticd.protocol.view import joined
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 
@@ -163,7 +163,7 @@ class Delivered:
         motor_n = self._servo.device.motor_n_per_a * at["current_a"].astype(float)
         return _products(at, path, motor_n, places[whole], period_s)
 
-    def _path(self, found: Table, period_s: float) -> CommandedForce:
+    def _path(self, found: Records, period_s: float) -> CommandedForce:
         corner_hz = self._servo.device.force_smoothing_hz
         held_n = found["in_effect_n"]
         if corner_hz <= 0.0:

@@ -25,7 +25,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import EnvironmentLimits, GuardSetup
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.policies import answer_change
 from hapticd.guard.safe_region import (
     IDEAL_PERIODS,
@@ -41,7 +41,8 @@ from hapticd.model.angles import unresolved_hz
 from hapticd.model.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
-from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
+from hapticd.model.params import GuardSetup
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
 
 __all__ = ["Judge"]
 
@@ -384,7 +385,7 @@ class Judge:
 
 
 def _unknown(text: str, remedy: str = "") -> Explanation:
-    why = because(Reason.UNKNOWN, f"unknown: {text}")
+    why = Explanation.because(Reason.UNKNOWN, f"unknown: {text}")
     return why.and_remedy(Remedy.CONFIGURE, remedy) if remedy else why
 
 

@@ -25,16 +25,7 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import ANY_TERMS, RING_SLOTS, Command, Result, State
 from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting, forbidden
-from hapticd.protocol.journal import (
-    GATEWAY_ACTOR,
-    EventCode,
-    Explanation,
-    Outcome,
-    Reason,
-    Remedy,
-    because,
-    explanation_of,
-)
+from hapticd.protocol.journal import GATEWAY_ACTOR, EventCode, Explanation, Outcome, Reason, Remedy
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.schemas import Enable, Judged, Request, Set
 from hapticd.protocol.view import ServoView
@@ -107,7 +98,7 @@ class PendingChange:
         remedy = "`hapticd guard warn` would apply it anyway"
         if self.strict:
             remedy = "under `warn` a client that is not strict could apply it anyway"
-        why = explanation_of(self.verdict)
+        why = Explanation.of(self.verdict)
         why = why.and_reason(Reason.POLICY, f"policy {self.policy} refuses that")
         return self.refused(why.and_remedy(Remedy.POLICY, remedy))
 
@@ -123,8 +114,10 @@ class PendingChange:
                 f"the guard's worker answered: {answer.get('error')}" if answer else late
             )
         if answer.get("action") == "stage" and verdict.get("safe"):
-            stages = because(Reason.ONLY_IN_STAGES, "the path is passive only in stages")
-            known = explanation_of(verdict)
+            stages = Explanation.because(
+                Reason.ONLY_IN_STAGES, "the path is passive only in stages"
+            )
+            known = Explanation.of(verdict)
             both = Explanation(stages.reasons + known.reasons, known.remedies)
             verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
         return {"safe": None, "text": "", **verdict, "number": self.number, "cmd": self.cmd}

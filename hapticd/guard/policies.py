@@ -45,7 +45,7 @@ from hapticd.guard.transition_planner import (
     sampled_segment,
 )
 from hapticd.model.discrete import edge
-from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
 
 HYSTERESIS_NS_PER_M = 0.05  # above the required margin, before auto selects a lower level
 _HALVINGS = 12  # between the last safe point and the first unsafe one
@@ -67,7 +67,7 @@ def answer_change(
     """
     planner = _asked(verdicts, request)
     if request["policy"] == "off":
-        region = because(Reason.POLICY, "not judged: the policy is off")
+        region = Explanation.because(Reason.POLICY, "not judged: the policy is off")
     if isinstance(region, Explanation):
         return _unjudged(verdicts, planner, request["policy"], region)
     return _Judged(verdicts, region, planner, request).answer()
@@ -208,7 +208,7 @@ class _Judged:
             return explain(self.region, self.wanted, False)
         path = self.path(self.plans[0])
         if not path:
-            many = because(
+            many = Explanation.because(
                 Reason.TOO_MANY_POINTS, f"more than {POINTS} points would have to be judged at once"
             )
             return many.and_remedy(Remedy.WAIT, "wait for ramps under way, or schedule less")

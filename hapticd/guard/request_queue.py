@@ -46,7 +46,7 @@ from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, LATCHED, Command, Result, Value, values_of
 from hapticd.protocol.codec import INTERNAL_REQUEST
 from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Reason, because, sentence
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Explanation, Reason, sentence
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Change, Damping
 from hapticd.protocol.view import ServoView
@@ -498,7 +498,7 @@ class GuardedQueue:
             raise change.unknown_refused()
         if change.request.auto:
             text = "the guard chooses no level of active damping while it judges nothing"
-            raise change.refused(because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
+            raise change.refused(Explanation.because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         change.revision = None
         change.stages = ()
         if not change.at_tick and not change.enables:

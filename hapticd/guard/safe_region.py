@@ -24,13 +24,14 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
-from hapticd.core.params import EnvironmentLimits, GuardSetup
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.transition_planner import AXES
-from hapticd.mailbox.client_side import WIDEST
 from hapticd.model.bases import Basis, Conditions, Reading, Theorem, cached_levels, model_of
 from hapticd.model.coupled import Hand
 from hapticd.model.model import Model
-from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy, because
+from hapticd.model.params import GuardSetup
+from hapticd.protocol.journal import Explanation, Outcome, Reason, Remedy
+from hapticd.protocol.limits import WIDEST
 
 __all__ = ["passive_ranges", "ranges_of"]
 
@@ -386,23 +387,23 @@ def explain(region: SafeRegion, environment: Environment, safe: bool, way: str =
     where = f"{way}{environment_text(environment)}"
     if environment.stiffness_n_per_m < 0.0:
         text = f"{where}: K < 0 pushes away and is active at low frequencies"
-        negative = because(Reason.NEGATIVE_STIFFNESS, text)
+        negative = Explanation.because(Reason.NEGATIVE_STIFFNESS, text)
         return negative.and_remedy(Remedy.POSITIVE_STIFFNESS, "ask for K >= 0")
     worst = region.worse(environment)
     side = "" if worst == region.reading(environment) else " in the wall"
     if worst.margin_ns_per_m is None:
         limits = f"the limits of {region.basis.name}"
         if safe:
-            return because(Reason.INSIDE, f"{where}: inside {limits}")
-        outside = because(Reason.OUTSIDE, f"{where}: not inside {limits}")
+            return Explanation.because(Reason.INSIDE, f"{where}: inside {limits}")
+        outside = Explanation.because(Reason.OUTSIDE, f"{where}: not inside {limits}")
         return outside.and_remedy(Remedy.LESS, "ask for less")
     if safe:
         spare = (
             f"{worst.margin_ns_per_m:.3g} N s/m to spare{side}, least at {worst.worst_hz:.3g} Hz"
         )
-        return because(Reason.SPARE, f"{where}: {spare}")
+        return Explanation.because(Reason.SPARE, f"{where}: {spare}")
     code, text = _shortage(region, worst, side)
-    short = because(code, f"{where}: {text}").and_remedy(Remedy.LESS, "ask for less")
+    short = Explanation.because(code, f"{where}: {text}").and_remedy(Remedy.LESS, "ask for less")
     return short.and_remedy(Remedy.MORE_DAMPING, "for more active damping")
 
 

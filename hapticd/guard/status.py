@@ -31,7 +31,7 @@ from hapticd.guard.terms import (
     TermsKeeper,
 )
 from hapticd.mailbox.layout import ANY_TERMS
-from hapticd.protocol.journal import Journal, Outcome, Reason, because
+from hapticd.protocol.journal import Explanation, Journal, Outcome, Reason
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import GuardRequest
 from hapticd.protocol.view import ServoView
@@ -259,7 +259,9 @@ class Guard:
             "allowed": {},
             "clamped": False,
             "not_covered": [],
-            **because(Reason.UNKNOWN, f"passivity unknown: {why}").plain(Outcome.UNKNOWN),
+            **Explanation.because(Reason.UNKNOWN, f"passivity unknown: {why}").plain(
+                Outcome.UNKNOWN
+            ),
         }
 
     # --- the environment in force -----------------------------------------------------------------

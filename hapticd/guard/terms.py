@@ -31,6 +31,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.environment import FIELDS, Environment
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import STRICT_POLICIES, BasisName, Policy
@@ -40,7 +41,7 @@ from hapticd.mailbox.files import GUARD_TERMS, write_whole
 from hapticd.mailbox.layout import Flag, Value, newer
 from hapticd.protocol.commands import rendered
 from hapticd.protocol.journal import Journal
-from hapticd.protocol.view import Records, ServoView
+from hapticd.protocol.view import ServoView
 
 # --- terms ----------------------------------------------------------------------------------------
 

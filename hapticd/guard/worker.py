@@ -35,10 +35,11 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from hapticd.core.errors import HapticdError
-from hapticd.core.params import GuardSetup, read_params
+from hapticd.core.params import read_params
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.files import GUARD_JSON
+from hapticd.model.params import GuardSetup
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:

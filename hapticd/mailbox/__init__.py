@@ -15,7 +15,7 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     files        runtime_folder; claims, maps, ordered words
     daemons      daemon_folder; possible folders of daemons, whether they are trusted and their
                  daemons alive; StopWord, press_stop
-    client_side  GatewayMailbox; limits on the K, B and M that a client may request of a device
+    client_side  GatewayMailbox
     servo_side   ServoMailbox
 
 Three kinds of mailbox: every value, in order, once -> command and answer ring; every value, lossy

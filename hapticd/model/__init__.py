@@ -12,6 +12,7 @@ The device:
     compose      compose(scene), compose_device(name, effects): the composed Model;
                  board_fields(model): a model as the numbers of board.json
     model        Model and its parts, as frozen values
+    params       parameters of a composed device, of the simulated board, and of the guard's worker
     discrete     discretise(model, duration_s): the exact map over a step; expm; `computable`;
                  stability, modes, damping_ceiling, explain
     excitation   torque_record: perturbation torque at 4 kHz

@@ -29,11 +29,11 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Point
-from hapticd.core.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
 from hapticd.model.blueprint import InputColumns, StateVariable
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters, Tick, radii, tick_of
 from hapticd.model.model import Model, Output, Outputs, frozen
+from hapticd.model.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
 from hapticd.model.predict import Prediction, predict
 from hapticd.model.rational import Rational, positive_everywhere, rational
 from hapticd.model.theorem import (

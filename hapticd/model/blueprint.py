@@ -24,7 +24,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hapticd.core.params import HeatingParams
+from hapticd.model.params import HeatingParams
 
 __all__ = ["StateVariable"]
 

@@ -39,8 +39,8 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import PlantParams
 from hapticd.model.blueprint import ZERO, Blueprint, Form, InputColumns
 from hapticd.model.discrete import (
     computable,
@@ -59,7 +59,6 @@ from hapticd.model.effects import (
     shaped,
 )
 from hapticd.model.model import (
-    Array,
     Contact,
     DriveLimits,
     Ends,
@@ -71,6 +70,7 @@ from hapticd.model.model import (
     Winding,
     frozen,
 )
+from hapticd.model.params import PlantParams
 from hapticd.model.scene import Scene
 from hapticd.model.step import SUBSTEPS_PER_TICK
 
@@ -253,7 +253,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     )
 
 
-def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Array:
+def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Floats:
     """Return [A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
     `Coefficient`, of all rates, with a column for the friction force of each contact.
     """

@@ -33,7 +33,9 @@ from random import Random
 from typing import Any, Final, NamedTuple
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import (
+from hapticd.core.units import COPPER_PER_K
+from hapticd.model.friction import reach, stick_two
+from hapticd.model.params import (
     BoardParams,
     Contact,
     DriveLimits,
@@ -44,8 +46,6 @@ from hapticd.core.params import (
     PlantParams,
     RotorForce,
 )
-from hapticd.core.units import COPPER_PER_K
-from hapticd.model.friction import reach, stick_two
 
 __all__ = ["VELOCITY", "State"]
 

@@ -42,9 +42,10 @@ from math import ceil, exp, floor, inf, log2, tau
 
 import numpy as np
 
+from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.model.blueprint import Note, StateVariable
-from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
+from hapticd.model.model import DriveLimits, Map, Model, frozen
 
 __all__ = [
     "AtLevel",
@@ -77,7 +78,7 @@ def computable(name: str, what: str) -> Iterator[None]:
         raise beyond(name, what, str(error)) from error
 
 
-def require_finite(name: str, what: str, *arrays: Array) -> None:
+def require_finite(name: str, what: str, *arrays: Floats) -> None:
     """Raise ConfigError if `what` of model `name` is not finite: Python's product may overflow to
     infinity.
     """
@@ -94,7 +95,7 @@ def beyond(name: str, what: str, why: str) -> ConfigError:
     )
 
 
-def expm(matrix: Array) -> Array:
+def expm(matrix: Floats) -> Floats:
     """Return e^matrix for a finite square float64 matrix (n, n). ValueError if it is not finite."""
     if not np.isfinite(matrix).all():
         raise ValueError("the exponential of a matrix that is not finite")
@@ -118,7 +119,7 @@ def _series(
     return total
 
 
-def _balance(matrix: Array) -> Array:
+def _balance(matrix: Floats) -> Floats:
     """Powers of two d such that rows and columns of diag(d)^-1 M diag(d) are of like size."""
     size = len(matrix)
     scale = np.ones(size)
@@ -161,7 +162,7 @@ def discretise(model: Model, duration_s: float, active_damping_ns_per_m: float =
     )
 
 
-def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Array]:
+def late_command(model: Model, whole: Map, fraction: float) -> tuple[Floats, Floats]:
     """Return columns (old, new), each (n,), of a command that changes within the step `whole`,
     `fraction` (0..1) of the step after its start.
     """
@@ -246,7 +247,7 @@ def edge(
     return inside
 
 
-def _quotient(a: Array, shift: Array) -> Array:
+def _quotient(a: Floats, shift: Floats) -> Floats:
     """Return A after translation of all bodies together is divided out."""
     others = np.eye(len(a))[:, np.argsort(-shift, kind="stable")[1:]]  # all axes but one position
     basis, _ = np.linalg.qr(np.column_stack([shift, others]))

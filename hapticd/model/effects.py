@@ -58,7 +58,6 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple, TypeVar, dataclass_transform
 
-from hapticd.core.params import HeatingParams
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.blueprint import (
     AmplifierRange,
@@ -68,6 +67,7 @@ from hapticd.model.blueprint import (
     Note,
     Parameter,
 )
+from hapticd.model.params import HeatingParams
 
 __all__ = [
     "ALWAYS",

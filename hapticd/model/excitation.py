@@ -9,7 +9,7 @@ rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
 
 A mark is a maximum-length sequence of 1023 signs, one sample each (Golomb, "Shift Register
 Sequences", 1967). It identifies a trial in a record of another system and shows where it begins
-(`signal.alignment`). Its amplitude is the rms of the perturbation that it replaces, so it satisfies
+(`zwidth.alignment`). Its amplitude is the rms of the perturbation that it replaces, so it satisfies
 every limit of the perturbation.
 
 A stream must not be drawn in pieces: a record is made whole, then cut.

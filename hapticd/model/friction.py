@@ -53,7 +53,7 @@ lag (refused by `compose`). Standard library alone: the simulated board uses it.
 from math import exp
 from typing import NamedTuple
 
-from hapticd.core.params import DriveLimits
+from hapticd.model.params import DriveLimits
 
 __all__ = ["Reach", "reach"]
 

@@ -28,9 +28,10 @@ quantisation.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from hapticd.core.params import (
+from hapticd.core.arrays import Floats
+from hapticd.model.blueprint import InputColumns, Note, StateVariable
+from hapticd.model.params import (
     Contact,
     DriveLimits,
     Ends,
@@ -39,10 +40,8 @@ from hapticd.core.params import (
     OutputParams,
     RotorForce,
 )
-from hapticd.model.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
-    "Array",
     "Contact",
     "DriveLimits",
     "Ends",
@@ -57,10 +56,8 @@ __all__ = [
     "frozen",
 ]
 
-Array = npt.NDArray[np.float64]
 
-
-def frozen(array: Array) -> Array:
+def frozen(array: Floats) -> Floats:
     """Return a read-only copy."""
     copy = np.array(array, dtype=np.float64)
     copy.flags.writeable = False
@@ -80,26 +77,26 @@ class Winding:
 
     heating: HeatingParams
     residual_ohm: float  # at which the model's own arrays hold
-    a0: Array  # (n, n) per ohm, as all four
-    a1: Array  # per Ns/m as well
-    b0: Array  # (n, m)
-    b1: Array  # per Ns/m as well
+    a0: Floats  # (n, n) per ohm, as all four
+    a1: Floats  # per Ns/m as well
+    b0: Floats  # (n, m)
+    b1: Floats  # per Ns/m as well
 
 
 @dataclass(frozen=True, eq=False)
 class Output:
     """y = (c0 + b c1) x + (d0 + b d1) u: c0, c1 (states,), d0, d1 (inputs,)."""
 
-    c0: Array  # (states,)
-    c1: Array  # (states,), per Ns/m
-    d0: Array  # (inputs,)
-    d1: Array  # (inputs,), per Ns/m
+    c0: Floats  # (states,)
+    c1: Floats  # (states,), per Ns/m
+    d0: Floats  # (inputs,)
+    d1: Floats  # (inputs,), per Ns/m
 
-    def row(self, active_damping_ns_per_m: float = 0.0) -> Array:
+    def row(self, active_damping_ns_per_m: float = 0.0) -> Floats:
         """C at that level, (states,)."""
         return self.c0 + active_damping_ns_per_m * self.c1
 
-    def through(self, active_damping_ns_per_m: float = 0.0) -> Array:
+    def through(self, active_damping_ns_per_m: float = 0.0) -> Floats:
         """D at that level, (inputs,)."""
         return self.d0 + active_damping_ns_per_m * self.d1
 
@@ -140,10 +137,10 @@ class Model:
     rate_hz: float  # of the servo; T = 1 / rate_hz
     delay_periods: float  # from the encoder sample to its command, without the hold
     states: tuple[StateVariable, ...]  # n of them
-    a0: Array  # (n, n), 1/s and the like, by the units of the states
-    a1: Array  # (n, n), per Ns/m of damping level
-    b0: Array  # (n, m)
-    b1: Array  # (n, m), per Ns/m
+    a0: Floats  # (n, n), 1/s and the like, by the units of the states
+    a1: Floats  # (n, n), per Ns/m of damping level
+    b0: Floats  # (n, m)
+    b1: Floats  # (n, m), per Ns/m
     inputs: InputColumns
     outputs: Outputs
     contacts: tuple[Contact, ...] = ()  # at most two, on different bodies
@@ -172,15 +169,15 @@ class Model:
     residual_ohm: float = 0.0  # that the damping circuit does not cancel
     notes: tuple[Note, ...] = ()  # descriptions of the effects
 
-    def a(self, active_damping_ns_per_m: float = 0.0) -> Array:
+    def a(self, active_damping_ns_per_m: float = 0.0) -> Floats:
         """A at that level, (n, n)."""
         return self.a0 + active_damping_ns_per_m * self.a1
 
-    def b(self, active_damping_ns_per_m: float = 0.0) -> Array:
+    def b(self, active_damping_ns_per_m: float = 0.0) -> Floats:
         """B at that level, (n, m)."""
         return self.b0 + active_damping_ns_per_m * self.b1
 
-    def translation(self) -> Array:
+    def translation(self) -> Floats:
         """All bodies moved by the same amount: 1 for every position, 0 otherwise, (n,)."""
         return np.array([1.0 if state.name.endswith("_position") else 0.0 for state in self.states])
 
@@ -214,5 +211,5 @@ class Map:
 
     duration_s: float  # of the step
     active_damping_ns_per_m: float  # damping level that it holds for
-    a: Array  # (n, n)
-    b: Array  # (n, m)
+    a: Floats  # (n, n)
+    b: Floats  # (n, m)

@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.angles import MinimumRealPart, min_real_part, mode_lines
 from hapticd.model.linearise import (
     Linearised,
@@ -47,7 +48,6 @@ from hapticd.model.loop import (
 from hapticd.model.model import Model
 
 __all__ = [
-    "DEFAULT_BAND_HZ",
     "NOMINAL_NS_PER_M",
     "Prediction",
     "chunks",
@@ -59,7 +59,6 @@ __all__ = [
     "with_equivalent_damping",
 ]
 
-DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache
 _LOOPS = 16  # kept: device, level and filters of the last predictions
 _FRICTION_STEP = 1.05

@@ -7,12 +7,20 @@ is not built and costs no state and no time. Some effects follow from the scales
 its converters, its limits, and a device that is one rigid mass.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-from hapticd.core.environment import Constraints, Environment, NotNegative, Positive, TableParams
+from hapticd.core.environment import (
+    Constraints,
+    Environment,
+    NotNegative,
+    Positive,
+    TableParams,
+    WallParams,
+)
 from hapticd.core.params import DeviceParams, ScaleParams
 from hapticd.model.effects import (
+    ALWAYS,
     DampingDac,
     Delay,
     Effect,
@@ -89,6 +97,39 @@ class Scene:
     start_position_m: float = 0.0  # of the endpoint
     start_velocity_m_per_s: float = 0.0  # of the endpoint
     allow_unstable: bool = False  # simulate a device whose damping circuit oscillates
+
+    @property
+    def level_ns_per_m(self) -> float:
+        """The highest active damping."""
+        return max(step.level_ns_per_m for step in self.active_damping)
+
+    @property
+    def free_of_walls(self) -> Environment:
+        """The environment without its wall, which has no impedance of its own."""
+        return replace(self.environment, wall=WallParams())
+
+    @property
+    def noise(self) -> Excitation:
+        """The scene's own noise, or the paper's if the scene has none."""
+        own = self.excitation
+        return own if own.kind == "noise" else Excitation("noise", seed=own.seed)
+
+    @property
+    def removable(self) -> tuple[str, ...]:
+        """The keys of the effects that can be left out."""
+        return tuple(effect.key for effect in self.effects if effect.key not in ALWAYS)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the scene is linear, so that its impedance is known exactly."""
+        return (
+            not any(effect.nonlinearity for effect in self.effects)
+            and self.environment.wall.side == 0
+        )
+
+    def without(self, *keys: str) -> "Scene":
+        """Return the scene without these effects."""
+        return replace(self, effects=tuple(one for one in self.effects if one.key not in keys))
 
 
 # --- effects by the numbers of a device file ------------------------------------------------------

@@ -32,7 +32,6 @@ from math import exp, expm1, factorial, inf, isfinite
 from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import BoardParams, TouchParams
 from hapticd.model.composed import (
     POSITION,
     VELOCITY,
@@ -47,6 +46,7 @@ from hapticd.model.composed import (
     rotor_response,
     viewer,
 )
+from hapticd.model.params import BoardParams, TouchParams
 from hapticd.model.touch import touched_step
 
 __all__ = ["SUBSTEPS_PER_TICK", "make_plant"]

@@ -37,8 +37,8 @@ from random import Random
 from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.model.composed import POSITION, VELOCITY, Response, State, Step
+from hapticd.model.params import HandParams, TouchParams
 
 TREMOR_HZ = 10.0  # physiological tremor of a hand: 8 to 12 Hz
 HAND_KINDS = ("hold", "push", "strike")

@@ -9,8 +9,8 @@ leases       the exclusive rights of clients; access by address
 journal      events and the actors behind them; outcome, reasons and remedies of the guard, as typed
              entries
 telemetry    tick records as the messages of each topic
-view         the servo as seen by its mailbox and its newest record; the energy ledger of the topic,
-             from tick records
+view         the servo as seen by its mailbox and its newest record
+ledger       the work that each cause does on the device, from tick records
 flight       the flight recorder and its file
 keys         files of CURVE keys; libzmq's events about the connections of a socket
 """

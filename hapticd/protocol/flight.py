@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import hapticd
+from hapticd.core.arrays import Records
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.faults import BY_NUMBER, FAULTS
 from hapticd.core.params import GatewaySetup, to_plain
@@ -41,7 +42,7 @@ from hapticd.mailbox.layout import State
 from hapticd.protocol.journal import EventCode, Journal
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.telemetry import TICK_DESCR, Origin, RingBlock
-from hapticd.protocol.view import Records, ServoView
+from hapticd.protocol.view import ServoView
 
 __all__ = [
     "SUFFIX",

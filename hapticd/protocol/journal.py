@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from string import Formatter
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 from hapticd.core.params import LEAST_IDLE_SHARE
 from hapticd.core.units import NS_PER_S
@@ -35,8 +35,6 @@ __all__ = [
     "Outcome",
     "Reason",
     "Remedy",
-    "because",
-    "explanation_of",
     "sentence",
 ]
 
@@ -312,6 +310,20 @@ class Explanation:
     reasons: tuple[Entry, ...]
     remedies: tuple[Entry, ...] = ()
 
+    @classmethod
+    def because(cls, code: Reason, text: str) -> Self:
+        """Return the explanation with one reason."""
+        return cls((Entry(code, text),))
+
+    @classmethod
+    def of(cls, verdict: Mapping[str, Any]) -> Self:
+        """Return the explanation in the map of a verdict."""
+        reasons, remedies = (
+            tuple(Entry(one["code"], one["text"]) for one in verdict.get(name, ()))
+            for name in ("reasons", "remedies")
+        )
+        return cls(reasons, remedies)
+
     def and_reason(self, code: Reason, text: str) -> "Explanation":
         """Return it with one more reason."""
         return Explanation((*self.reasons, Entry(code, text)), self.remedies)
@@ -340,17 +352,3 @@ class Explanation:
 
 
 _NAMED = (Outcome.WARNING, Outcome.CLAMPED, Outcome.FOLLOWED, Outcome.REFUSED)  # in the sentence
-
-
-def because(code: Reason, text: str) -> Explanation:
-    """Return the explanation with one reason."""
-    return Explanation((Entry(code, text),))
-
-
-def explanation_of(verdict: Mapping[str, Any]) -> Explanation:
-    """Return the explanation in the map of a verdict."""
-    reasons, remedies = (
-        tuple(Entry(one["code"], one["text"]) for one in verdict.get(name, ()))
-        for name in ("reasons", "remedies")
-    )
-    return Explanation(reasons, remedies)

@@ -33,11 +33,12 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import DeviceParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, PROBE_RATE_HZ
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, TELEMETRY, Flag
-from hapticd.protocol.view import NAMES as LEDGER
-from hapticd.protocol.view import Records, ServoView, as_records, last_torn
+from hapticd.protocol.ledger import NAMES as LEDGER
+from hapticd.protocol.view import ServoView, as_records, last_torn
 from hapticd.usb import frames
 from hapticd.usb.codec import PROBE_INDEX_BITS, unwrap
 

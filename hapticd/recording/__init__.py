@@ -28,6 +28,7 @@ For scripts:
     file        open_recording: a `Recording` from any kind of file; replay_recording: replay a
                 recording, with some settings replaced
     pack        pack, summary: the final file; to_mat, to_csv: its exports
+    replay      replay, difference: the servo's step over a segment of records, bit by bit
     provenance  provenance: the versions behind the numbers
 
 `live` (the live file and its rows) is for the other modules, as are the energy ledger in `file`,

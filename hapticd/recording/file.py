@@ -17,10 +17,10 @@ with the delay assumed at the time. Nothing in them is unexplained. Limitations:
 field that the ledger reads (`Recording.records` raises the error).
 
 Replay (`replay_recording`). It covers a whole recording, one segment after the other. In each,
-`run.replay` runs the servo's own step on the recorded samples. The motion remains the recorded one.
-With other settings a replay shows the commands of the tick law, not the motion of the display. The
-result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
-Otherwise `first_difference` names that tick.
+`recording.replay` runs the servo's own step on the recorded samples. The motion remains the
+recorded one. With other settings a replay shows the commands of the tick law, not the motion of the
+display. The result of a tick must depend on the checkpoint, the samples and the requests in the
+file alone. Otherwise `first_difference` names that tick.
 """
 
 import json
@@ -36,17 +36,19 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Value
 from hapticd.protocol import flight
-from hapticd.protocol.view import NAMES, RECORD_DTYPE, Ledger, Records
+from hapticd.protocol.ledger import NAMES, Ledger
+from hapticd.protocol.view import RECORD_DTYPE
 from hapticd.recording import live
 from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA
-from hapticd.run.replay import Difference, Segment, difference, replay
+from hapticd.recording.replay import Difference, Segment, difference, replay
 from hapticd.settings.toml import SAMPLES_BYTES, regular
 
 __all__ = ["ReplayResult", "open_recording", "replay_recording", "total_j"]

@@ -31,13 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.core.arrays import Records
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, VALUE_LIMITS, Command, Value
 from hapticd.protocol.flight import dtype_of, read_header, with_header
 from hapticd.protocol.telemetry import PROBE_DTYPE
-from hapticd.protocol.view import RECORD_DTYPE, Records
+from hapticd.protocol.view import RECORD_DTYPE
 
 MAGIC = b"hapticd-live/1\n"
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring

@@ -4,7 +4,5 @@ law        render: one tick of the law, compiled by the batch engine too; design
            second-order low-pass filters for velocity and acceleration; Ramp: a parameter on its way
            from one value to the next; approach; book: a ledger of the work of the force and of its
            excess
-contact    active damping that rises at a wall, for the batch engine
-parts      parts of a law of the batch engine: FOAW, Levant, PO/PC
 winding    the range of the winding's temperature, and its resistance to compensate
 """

@@ -39,7 +39,7 @@ two samples, in which the device moves by dx, therefore contains both:
     dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
 
 Motion between samples is taken as straight; sums by cause are computed from the records instead
-(`signal.ledger`). A display with ideal elements would have no excess: its work would equal the
+(`protocol.ledger`). A display with ideal elements would have no excess: its work would equal the
 energy that its springs, walls and virtual mass lose, or that its physical damping dissipates. The
 excess is
 

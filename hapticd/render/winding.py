@@ -28,19 +28,16 @@ the device file, a second time constant (a housing that warms up) outside `model
 """
 
 from math import expm1, inf, isfinite
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 from hapticd.core.params import ResistanceParams
 
 __all__ = [
     "LEAST_LOOP_GAIN",
     "Winding",
-    "heated",
     "least_residual_ohm",
     "loop_gain",
     "ohm",
-    "target_ohm",
-    "unheated",
 ]
 
 LEAST_LOOP_GAIN: Final = (
@@ -60,30 +57,46 @@ class Winding(NamedTuple):
     trim_ohm: float = 0.0
     dac_count: int = 0  # for that
 
+    @classmethod
+    def unheated(cls, params: ResistanceParams) -> Self:
+        """Return a winding with the range of its surroundings only, not compensated beyond count 0.
 
-def unheated(params: ResistanceParams) -> Winding:
-    """Return a winding with the range of its surroundings only, not compensated beyond count 0.
+        One that is already hotter, because the host restarted, is compensated too little until it
+        has cooled down to the model's temperature.
+        """
+        return cls(low_c=params.ambient_low_c, high_c=params.ambient_high_c)
 
-    One that is already hotter, because the host restarted, is compensated too little until it has
-    cooled down to the model's temperature.
-    """
-    return Winding(low_c=params.ambient_low_c, high_c=params.ambient_high_c)
+    def heated(
+        self, params: ResistanceParams, ampere2: float, elapsed_s: float, limit_c: float
+    ) -> Self:
+        """Return the winding after `elapsed_s` with the square of its current at `ampere2` [A^2].
+        Neither end exceeds `limit_c`, because a hotter winding ends the force.
+        """
+        low_c = _warmed(params, self.low_c, params.ambient_low_c, ampere2, elapsed_s, COLD)
+        high_c = _warmed(params, self.high_c, params.ambient_high_c, ampere2, elapsed_s, HOT)
+        return self._replace(low_c=min(low_c, limit_c), high_c=min(high_c, limit_c))
+
+    def target_ohm(
+        self,
+        params: ResistanceParams,
+        sensor_c: float | None,
+        active_damping_ns_per_m: float,
+    ) -> float:
+        """Return its trim [ohm]; `sensor_c` None or not finite: no sensor.
+        `active_damping_ns_per_m`: the highest level that the device allows.
+        """
+        celsius = self.low_c
+        if sensor_c is not None and isfinite(sensor_c):
+            celsius = min(sensor_c, self.high_c)
+        wanted = ohm(params, celsius) - params.base_ohm - params.tolerance_ohm
+        furthest = ohm(params, self.low_c) - params.base_ohm
+        furthest += over_compensation_ohm(params, active_damping_ns_per_m)
+        return max(0.0, min(wanted, furthest, params.full_scale_ohm))
 
 
 def ohm(params: ResistanceParams, celsius: float) -> float:
     """R(T) [ohm]."""
     return params.winding_ohm * (1.0 + params.per_k * (celsius - params.reference_c))
-
-
-def heated(
-    params: ResistanceParams, winding: Winding, ampere2: float, elapsed_s: float, limit_c: float
-) -> Winding:
-    """Return `winding` after `elapsed_s` with the square of its current at `ampere2` [A^2]. Neither
-    end exceeds `limit_c`, because a hotter winding ends the force.
-    """
-    low_c = _warmed(params, winding.low_c, params.ambient_low_c, ampere2, elapsed_s, COLD)
-    high_c = _warmed(params, winding.high_c, params.ambient_high_c, ampere2, elapsed_s, HOT)
-    return winding._replace(low_c=min(low_c, limit_c), high_c=min(high_c, limit_c))
 
 
 def _warmed(
@@ -100,24 +113,6 @@ def _warmed(
     # the hot end rises faster and falls slower than the winding can, the cold one the other way
     slower = 1.0 - error if rise_c > 0.0 else 1.0 + error
     return celsius - rise_c * expm1(-elapsed_s / (slower * params.time_constant_s))
-
-
-def target_ohm(
-    params: ResistanceParams,
-    winding: Winding,
-    sensor_c: float | None,
-    active_damping_ns_per_m: float,
-) -> float:
-    """Return the trim [ohm] for `winding`; `sensor_c` None or not finite: no sensor.
-    `active_damping_ns_per_m`: the highest level that the device allows.
-    """
-    celsius = winding.low_c
-    if sensor_c is not None and isfinite(sensor_c):
-        celsius = min(sensor_c, winding.high_c)
-    wanted = ohm(params, celsius) - params.base_ohm - params.tolerance_ohm
-    furthest = ohm(params, winding.low_c) - params.base_ohm
-    furthest += over_compensation_ohm(params, active_damping_ns_per_m)
-    return max(0.0, min(wanted, furthest, params.full_scale_ohm))
 
 
 def over_compensation_ohm(params: ResistanceParams, active_damping_ns_per_m: float) -> float:

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.client.blocks import Block, BlockDecoder, Records
+from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client, ClientLease
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.core.params import DeviceParams, ScaleParams, to_plain

@@ -1,4 +1,4 @@
-"""The whole stack on virtual time, and a client of it.
+"""The whole stack on virtual time, a client of it, and a trial with it.
 
 Stack (`LockStep`). It has servo, wire, pyusb and the simulated board, and advances tick by tick. It
 runs faster than real time, with the same classes as the servo process and a clock that jumps. There
@@ -13,34 +13,35 @@ Telemetry takes the full path: frames of the board, the gateway's decoder, its m
 client's decoder. Sockets, processes and the guard are left out. Time advances only while records
 are requested. `virtual.virtual_board` makes one from a configuration, with a guard.
 
+Trial (`run_lockstep`). The stack starts as with `hapticd run`: enabled at rest and the gain ramped
+to 1. Then, at one tick, the perturbation starts and the scene's damping steps begin to count. The
+records begin at that tick: positions and forces in the servo, torque and velocity from the probe
+frames. Converters of the wire quantise, whatever the scene's effects.
+
 Limitations: it gives no information on real time; a stalled host cannot be observed.
 """
 
 import tempfile
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.core.errors import CommandError, ConfigError, MailboxError
+from hapticd.core.arrays import Floats, Records
+from hapticd.core.errors import AnalysisError, CommandError, ConfigError, LinkError, MailboxError
 from hapticd.core.faults import BY_NUMBER
-from hapticd.core.params import (
-    BoardParams,
-    RealtimeParams,
-    SafetyParams,
-    ServoParams,
-    UsbParams,
-    to_plain,
-)
-from hapticd.core.units import Clock, VirtualClock
+from hapticd.core.params import RealtimeParams, SafetyParams, ServoParams, UsbParams, to_plain
+from hapticd.core.units import PROBE_RATE_HZ, Clock, VirtualClock
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, State, Value
+from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.model.params import BoardParams
 from hapticd.protocol.answers import Receipt
 from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.protocol.leases import MEASURING
@@ -55,7 +56,7 @@ from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 
-__all__ = ["LockStep", "LockStepClient", "scene_params"]
+__all__ = ["LockStep", "LockStepClient", "LockStepTrial", "run_lockstep", "scene_params"]
 
 ANSWER_TICKS = 10  # within which a command is answered; a reset that queries the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out
@@ -352,3 +353,69 @@ def virtual_wait(clock: Clock) -> Wait:
         return clock.now_ns()
 
     return wait
+
+
+# --- a trial --------------------------------------------------------------------------------------
+
+MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
+
+
+@dataclass(frozen=True, eq=False)
+class LockStepTrial:
+    """`position_m`, `force_n` (ticks,); `torque_n`, `velocity_m_per_s` (samples,) interval
+    means at 4 kHz.
+    """
+
+    position_m: Floats
+    force_n: Floats
+    torque_n: Floats
+    velocity_m_per_s: Floats
+
+
+def run_lockstep(
+    source: str | Path, torque_n: npt.ArrayLike, steps: Sequence[tuple[float, float]]
+) -> LockStepTrial:
+    """Run the scene `source` under `torque_n` (samples,) [N] at 4 kHz with damping steps (time s,
+    level Ns/m).
+
+    AnalysisError for a record of more than 131 s; LinkError if the stack did not run it without
+    errors.
+    """
+    force = np.asarray(torque_n, np.float64)
+    if force.size > PERTURBATION_SAMPLES:
+        raise AnalysisError(
+            f"{force.size / PROBE_RATE_HZ:g} s in lock-step: the waveform holds {MOST_S:g} s; ask"
+            " for less"
+        )
+    servo, board = scene_params(source)
+    rate_hz = servo.realtime.rate_hz
+    with LockStepClient(servo, board) as bench:
+        bench.perturb_load(force)
+        bench.enable()
+        begin = int(bench.newest["tick"]) + 1
+        bench.stack.command(
+            Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0}
+        )
+        for at_s, level in steps:
+            values = {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0}
+            bench.stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
+        found = as_records(bench.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
+        refused = [
+            answer.result.name
+            for answer in bench.stack.gateway.answers()
+            if answer.result > Result.SUPERSEDED
+        ]
+    return _records(servo, found, refused)
+
+
+def _records(servo: ServoParams, found: Records, refused: list[str]) -> LockStepTrial:
+    spoiled = int(((found["flags"] & (Flag.MISSING_IN | Flag.BAD_IN | Flag.LATE)) != 0).sum())
+    if refused or spoiled or found["fault"].any():
+        raise LinkError(
+            f"lock-step: {spoiled} late or damaged ticks, commands refused: {refused or 'none'};"
+            " run it with `hapticd run`"
+        )
+    block = RingBlock(1, 0, 0, found.tobytes(), found)
+    (probe,) = ProbeDecoder(servo.device).messages(block, Origin(0, 0, servo.simulated))
+    torque, velocity = BlockDecoder().decode(probe).signals()
+    return LockStepTrial(found["position_m"].copy(), found["force_n"].copy(), torque, velocity)

@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import BoardParams, ServoParams, read_params
-from hapticd.core.process import die_with_parent, on_stop
+from hapticd.core.params import ServoParams, read_params
+from hapticd.core.process import die_with_parent, on_stop, ordinary_scheduling, request_rights
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, Clock, MonotonicClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run.watchdog import notify, start_feeder
-from hapticd.servo import host
 from hapticd.servo.late import spinning_wait
 from hapticd.servo.loop import ServoLoop
 from hapticd.usb.device import Device
@@ -36,11 +35,12 @@ from hapticd.usb.link import UsbLink
 from hapticd.usb.search import BoardSearch
 
 if TYPE_CHECKING:
+    from hapticd.model.params import BoardParams
     from hapticd.sim.backend import SimulatedBackend
 
 
 def simulated_backend(
-    params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
+    params: "BoardParams", clock: Clock, on_slip: Callable[[int], None] | None = None
 ) -> "SimulatedBackend":
     """Return a pyusb backend with one simulated board, and the faults in `params`.
 
@@ -64,7 +64,7 @@ def startup_message(text: str) -> None:
 class Servo:
     """The parts of one servo process."""
 
-    def __init__(self, params: ServoParams, board: BoardParams | None, clock: Clock) -> None:
+    def __init__(self, params: ServoParams, board: "BoardParams | None", clock: Clock) -> None:
         self.params = params
         self.clock = clock
         self.stopping = False
@@ -140,7 +140,7 @@ class Servo:
                 startup_message(f"not the board of the device file: {one}")
             for reason in filter(None, (check.uncompensated, check.unsampled)):
                 startup_message(reason)
-            plain = {name: one._asdict() for name, one in host.prepare(params.realtime).items()}
+            plain = {name: one._asdict() for name, one in request_rights(params.realtime).items()}
             mailbox.report({"realtime": plain, **self._about(), **check.report()})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")
@@ -151,7 +151,7 @@ class Servo:
             try:
                 self.loop.finish()  # in real time, like every tick: force may fade in it
             finally:
-                host.relax()
+                ordinary_scheduling()
 
     def _about(self) -> dict[str, Any]:
         """Return device and rate for the mailbox's report."""
@@ -183,7 +183,11 @@ def main(arguments: list[str]) -> int:
         params = read_params(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
             raise ConfigError(f"{paths[0]} is marked as simulated; pass the board.json too")
-        board = read_params(BoardParams, paths[1]) if params.simulated else None
+        board = None
+        if params.simulated:
+            from hapticd.model.params import BoardParams  # a servo of a real board loads no model
+
+            board = read_params(BoardParams, paths[1])
         servo = Servo(params, board, MonotonicClock())
         on_stop(servo.stop)
         servo.run()

@@ -40,13 +40,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
-from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
+from hapticd.core.params import EnvironmentLimits, GatewaySetup, ServoParams, to_plain
 from hapticd.core.process import launch
 from hapticd.core.units import NS_PER_MS, NS_PER_S, Clock
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.client_side import WIDEST, environment_limits
 from hapticd.mailbox.daemons import console_place
-from hapticd.protocol.limits import CommandLimits
+from hapticd.model.params import GuardSetup
+from hapticd.protocol.limits import WIDEST, CommandLimits, environment_limits
 from hapticd.settings.build import (
     board_params,
     gateway_params,

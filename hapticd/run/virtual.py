@@ -27,21 +27,14 @@ import msgpack
 from hapticd.client.client import Client
 from hapticd.client.telemetry import accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError
-from hapticd.core.params import (
-    BoardParams,
-    GatewaySetup,
-    GuardSetup,
-    HandParams,
-    TouchParams,
-    from_plain,
-    to_plain,
-)
+from hapticd.core.params import GatewaySetup, from_plain, to_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import state_map
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
+from hapticd.model.params import BoardParams, GuardSetup, HandParams, TouchParams
 from hapticd.protocol.answers import Receipt
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal

@@ -1,7 +1,6 @@
 """The servo process: one thread, one loop, one tick after another. Standard library, pyusb and the
 layers below.
 
-    host        prepare, relax: real-time rights, requested from the operating system
     loop        ServoLoop: the only `while`
     late        the cause of a late tick; the wait for a deadline, which warms the caches meanwhile
     connection  BoardConnection: the loss, search and return of a board, and its checks before it

@@ -19,7 +19,7 @@ from typing import Final
 
 from hapticd.core.params import ResistanceParams, ServoParams
 from hapticd.render.law import approach
-from hapticd.render.winding import Winding, heated, target_ohm
+from hapticd.render.winding import Winding
 from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, Plan, Sample
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.device import SEED
@@ -60,11 +60,11 @@ def _looked(
     heard = arrival >= 0 and bool(host & LINK_UP)
     known = heard and elapsed_s <= UNKNOWN_S
     ampere2 = _ampere2(table, sample, held_n, params) if known else 0.0
-    winding = heated(table, winding, ampere2, elapsed_s, device.temperature_limit_c)
+    winding = winding.heated(table, ampere2, elapsed_s, device.temperature_limit_c)
     trim_ohm = winding.trim_ohm
     if heard:
         sensor_c = None if host & NO_TEMPERATURE else device.temperature.to_value(temperature)
-        target = target_ohm(table, winding, sensor_c, device.active_damping_limit_ns_per_m)
+        target = winding.target_ohm(table, sensor_c, device.active_damping_limit_ns_per_m)
         trim_ohm = approach(trim_ohm, target, table.slew_ohm_per_s * min(elapsed_s, UNKNOWN_S))
     return winding._replace(
         tick=tick,

@@ -50,7 +50,7 @@ from hapticd.servo.watchdog_trial import WITHHELD, listens
 from hapticd.usb.codec import (
     NO_SAMPLES,
 )
-from hapticd.usb.device import NO_CODE, NO_HEAD, NO_TIME_US, SEED, UNKNOWN_US, Device, Head
+from hapticd.usb.device import NO_CODE, NO_HEAD, NO_TIME_US, SEED, Device, Head
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.search import Tell
 
@@ -184,8 +184,8 @@ class ServoLoop:
             next_deadline = deadline + period_ns
             slot = tick + self.dropped
             place = first_place + tick % places * size
-            delay_us = UNKNOWN_US
-            frame_age_us = UNKNOWN_US
+            delay_us = NO_TIME_US
+            frame_age_us = NO_TIME_US
             event_us = NO_TIME_US
             event_code = NO_CODE
             commands: tuple[Request, ...] = ()
@@ -305,7 +305,7 @@ class ServoLoop:
             sent = clock()
 
             if delay_us < 0:
-                delay_us = UNKNOWN_US
+                delay_us = NO_TIME_US
             else:
                 # valid only for the last OUT: the board may still have the torque of another
                 if torque_seq == echo & 0xFF:

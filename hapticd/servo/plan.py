@@ -48,7 +48,7 @@ from hapticd.render.law import (
     constant,
     design_coefficients,
 )
-from hapticd.render.winding import Winding, unheated
+from hapticd.render.winding import Winding
 from hapticd.servo.homing import Homing
 from hapticd.servo.safety import (
     FAULT_EVENT,
@@ -208,7 +208,7 @@ def initial_plan(params: ServoParams) -> Plan:
         added_entry=0.0,
         scheduled=(),
         limit_cycle_faults=params.safety.limit_cycle_faults,
-        winding=Winding() if table is None else unheated(table),
+        winding=Winding() if table is None else Winding.unheated(table),
     )
 
 

@@ -8,16 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
-from hapticd.core.params import (
-    BoardParams,
-    BoardTraits,
-    DeviceParams,
-    GatewayParams,
-    GuardParams,
-    ServoParams,
-    UsbParams,
-)
+from hapticd.core.params import DeviceParams, GatewayParams, GuardParams, ServoParams, UsbParams
 from hapticd.model.effects import Effect
+from hapticd.model.params import BoardParams, BoardTraits
 from hapticd.model.scene import converter_effects, rigid_body, smoothing_hz, timing_of
 from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash

@@ -15,8 +15,8 @@ Limitations: a pydantic release that renames its error types (`REASONS` would fa
 pydantic's own text). A rule whose limit comes from another table that it does not list.
 
 hapticd.toml (`Config`). Its settings apply to any device. Tables that the processes read unchanged
-are in `core.params`, with their defaults and limits. The tables here are translated. `load` checks
-the limits of a device.
+are in `core.params` and `model.params`, with their defaults and limits. The tables here are
+translated. `load` checks the limits of a device.
 """
 
 import copy
@@ -49,7 +49,6 @@ from hapticd.core.environment import (
 )
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import (
-    BoardTraits,
     GatewayParams,
     GuardTable,
     LeaseParams,
@@ -59,6 +58,7 @@ from hapticd.core.params import (
     UsbTable,
 )
 from hapticd.core.units import unit_of
+from hapticd.model.params import BoardTraits
 from hapticd.settings.toml import KeyPath, did_you_mean
 
 __all__ = ["Config", "dotted", "keys_of", "leaves", "validated"]

@@ -33,18 +33,10 @@ from pydantic import Field
 
 from hapticd.core.environment import ServoRateHz
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import (
-    EnvironmentLimits,
-    GuardParams,
-    GuardSetup,
-    MeasuredLevel,
-    MeasuredParams,
-    ModelParams,
-    RealtimeParams,
-    ServoParams,
-)
+from hapticd.core.params import EnvironmentLimits, GuardParams, RealtimeParams, ServoParams
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.effects import Effect, Motor, WindingTemperature
+from hapticd.model.params import GuardSetup, MeasuredLevel, MeasuredParams, ModelParams
 from hapticd.model.scene import DampingStep, Excitation, Scene, converter_effects
 from hapticd.settings.build import (
     device_effects,

@@ -12,15 +12,7 @@ measured at the probe unless stated otherwise. For scripts:
     findings     `examine`: defects and anomalies of a record
     resolved     `resolved`, `low_line`: lines narrower than the window, from the whole record
     verdict      `judge`: passive in a band, not passive, or undecided, with intervals
-    alignment    `align`: a record of another system aligned with the daemon's
-    ledger       `book`: the work that each cause does on the device
-    delivered    `estimate`: the active damping that a board delivers
-    passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M;
-                 `of_one`, `merged`: the Z-width envelope and its owners
-    compare      `widths_db`, `check_alike`, `normalised`: comparison of displays
-    search       `Search`, `next_trials`, `ModelPrior`: the directed search
 
 The other modules serve these: `covariances`, `compiled`, `batch_spectra` and `batch_fft`
-(loops over records), `matching` (one signal in another), `channels` (faults of the measuring
-channels), `surrogate` (the Gaussian process of the search).
+(loops over records), and `channels` (faults of the measuring channels).
 """

@@ -47,13 +47,13 @@ import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers, lazy_property
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import percent
+from hapticd.core.units import DEFAULT_BAND_HZ, percent
 from hapticd.signal.channels import unit_findings
 from hapticd.signal.findings import Finding, Record, examine, leakage_findings
 from hapticd.signal.impedance import Estimator, Impedance, impedance
 from hapticd.signal.resolved import hinted, low_line, resolved, unresolved
 from hapticd.signal.spectra import Spectra, corrected, grid_frequencies
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, Verdict, judge
+from hapticd.signal.verdict import Verdict, judge
 
 __all__ = [
     "CHANGING",

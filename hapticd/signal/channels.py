@@ -30,8 +30,9 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance, relative_sd
-from hapticd.signal.matching import bisquare_fit
 from hapticd.signal.spectra import Spectra
+
+__all__ = ["bisquare_fit"]
 
 SKEW_BAND = (0.06, 0.4)  # of the sample rate: above K, B and M, below the sensors' filters
 SEGMENT = 1.08  # ratio of the ends of a stretch of frequencies
@@ -54,6 +55,8 @@ LIGHTEST_KG = 1e-4  # moving mass at the port of a display; the paper's is 8 g
 FAST_AND_LIGHT_KG = 3e-3
 STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
 MASS_BAND_HZ = (100.0, 500.0)
+ROUNDS = 12  # of a fit with weights
+BISQUARE = 4.685
 LEAST_LINES = 8  # of frequencies at which |Z| is known
 
 _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
@@ -209,3 +212,20 @@ def _is_mass(z: Complexes, frequency_hz: Floats) -> bool:
     """Whether |Z| grows with the frequency here."""
     slope = np.polyfit(np.log(frequency_hz), np.log(np.abs(z)), 1)[0]
     return bool(MASS_SLOPE[0] <= slope <= MASS_SLOPE[1])
+
+
+def bisquare_fit(
+    columns: Floats, values: Floats, least_scale: float
+) -> tuple[Floats, Floats, Floats, float]:
+    """Least squares of `values` (n,) on `columns` (n, c) with bisquare weights (Beaton and Tukey
+    1974). Return coefficients (c,), residuals and weights (n,), and their scale, which is at least
+    `least_scale`.
+    """
+    trust = np.ones(values.size)
+    for _ in range(ROUNDS):
+        root = np.sqrt(trust)
+        solution = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        residual = values - columns @ solution
+        scale = max(least_scale, 1.4826 * float(np.median(np.abs(residual))))
+        trust = np.maximum(0.0, 1.0 - (residual / (BISQUARE * scale)) ** 2) ** 2
+    return np.asarray(solution, np.float64), residual, trust, scale

@@ -51,7 +51,7 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats, bisect
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import percent
+from hapticd.core.units import DEFAULT_BAND_HZ, percent
 from hapticd.signal.channels import channel_findings
 from hapticd.signal.findings import SWELLS, Energy, Finding, Record, coherence_findings
 from hapticd.signal.impedance import (
@@ -66,7 +66,6 @@ from hapticd.signal.resolved import Resolved
 from hapticd.signal.spectra import Spectra, lines_beside
 
 __all__ = [
-    "DEFAULT_BAND_HZ",
     "FORESEEABLE",
     "LEAST_FREEDOM",
     "NEAR_HZ",
@@ -84,7 +83,6 @@ Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
 Channels = Literal["recorded"]  # held force, averaged velocity
 
-DEFAULT_BAND_HZ = (2.0, 500.0)
 MANY = 18.0  # degrees of freedom from which the expansion of Student's t holds
 # degrees of freedom of a window's values below which the intervals are invalid
 LEAST_FREEDOM = 20.0

@@ -29,9 +29,9 @@ from collections.abc import Callable, Sequence
 from math import ceil, floor
 from random import Random
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.composed import VELOCITY, State
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import FIFO_DEPTH, OutFlag, StatusBit

@@ -25,8 +25,8 @@ from typing import NamedTuple, NoReturn
 
 import usb.backend
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, MonotonicClock
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import make_board
 from hapticd.sim.bus import Bus, FixedBus, Flight, FullSpeedBus, usb_error
 from hapticd.sim.injection import Port, TransferFault, with_injections

@@ -24,8 +24,8 @@ from dataclasses import fields, replace
 from math import ceil, floor, inf
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.sim.axis import (
     CLAMPED,

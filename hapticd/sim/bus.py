@@ -48,8 +48,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from usb.core import USBError, USBTimeoutError
 
-from hapticd.core.params import BusParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US, Clock
+from hapticd.model.params import BusParams
 from hapticd.sim.injection import Port, TransferFault
 from hapticd.usb.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
 

@@ -17,8 +17,8 @@ from random import Random
 from typing import Generic, NamedTuple, TypeVar
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import BoardModel
 from hapticd.usb import codec
 from hapticd.usb.frames import StatusBit

@@ -21,8 +21,8 @@ from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_S
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import GET_DESCRIPTOR, MANUFACTURER, PRODUCT, SERIAL, STRING
 from hapticd.sim.injection import Port, TransferFault
 from hapticd.usb.codec import VENDOR_CLASS, VENDOR_OUT

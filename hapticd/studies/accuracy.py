@@ -24,10 +24,7 @@ A push (`PositionComparison`): position, rms over the trial, in micrometres. The
 same trial in double precision with 32 sub-steps per sample. The resolution of a position is a
 count, so the total error includes the encoder's rounding (quantum / sqrt(12)).
 
-The command line passes the processor time of this process (`time.process_time_ns`) as the clock:
-seconds of one core, whatever else the machine does. The timed code runs on one thread. The engine
-computes a group of trials with every instruction, so the cost of a trial is its share of a full
-group.
+`effects` describes the measurement of time, and has the spectra of several trials.
 
 No kernel may be compiled while it is timed (every setting is therefore computed once before).
 Limitations: another program that uses the core's caches (the fastest of a few rounds counts).
@@ -45,28 +42,26 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError, HapticdError
-from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.excitation import Stream, torque_record
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.model.scene import Scene
-from hapticd.run.lockstep import LockStep, scene_params
+from hapticd.run.lockstep import LockStepTrial, run_lockstep
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
-from hapticd.studies.reference import (
-    LockStepTrial,
-    candidates,
-    is_linear,
+from hapticd.studies.effects import (
+    ALONE_REPEATS,
+    GROUP,
+    Stopwatch,
     pooled,
-    run_lockstep,
     spectra_of,
     spectra_on,
-    without,
+    timed,
 )
 from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.engine.shape import LANES
-from hapticd.zwidth.sources import SUBSTEPS, display, frequencies, level
+from hapticd.zwidth.sources import SUBSTEPS, display, frequencies
 from hapticd.zwidth.store import Progress, Steps, silent
 
-__all__ = ["cost", "plan_accuracy", "run_accuracy"]
+__all__ = ["plan_accuracy", "run_accuracy"]
 
 ROUNDS = 3  # of timing
 LOCKSTEP_S = 20.0  # length of the trial in lock-step
@@ -78,61 +73,13 @@ WINDOWS = (256, 512, 1024, 2048, 4096, 8192)
 QUICK_WINDOWS = (512, 2048)
 QUICK_S = 10.0  # at most, of a trial
 QUICK_LOCKSTEP_S = 5.0
-T = TypeVar("T")
-Stopwatch = Callable[[], int]  # processor time so far [ns]
-COST_ENGINE_S = 4.0  # simulated, to time the engine
-REPEATS = 9  # the fastest counts: other programs only slow it down
-ALONE_REPEATS = 3
-COST_LOCKSTEP_S = 0.5  # simulated, to time the stack in lock-step
-SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
-GROUP = LANES["f64"]  # trials of a full group where sums alone are kept
 REFERENCE_LAG = 4 * DEFAULT_LAG  # samples
 BATCH = 1000  # environments predicted together
 ANALYSED = 8  # records whose analysis is timed
 UM_PER_M = 1e6
+T = TypeVar("T")
 QUANTUM_M = 0.5e-6  # if the scene has no encoder: that of Weir 2008, section 2
 NEAR_BEST = 1.1  # total errors up to this multiple of the best count as equal
-
-
-def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
-    """Return (result of `call`, seconds) of the fastest of `times` calls, the least disturbed."""
-
-    def once() -> tuple[T, float]:
-        begin_ns = now_ns()
-        return call(), (now_ns() - begin_ns) / NS_PER_S
-
-    return min((once() for _ in range(times)), key=lambda run: run[1])
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Seconds of one core per simulated second."""
-
-    engine_s: float  # of one trial in a full group
-    lanes: int  # trials of a full group
-    lockstep_s: float  # of the whole stack
-
-
-def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
-    """Return seconds per simulated second of one trial in a full group. The kernel is compiled
-    before. ConfigError as `simulate`.
-    """
-    group = [scene.environment.free] * GROUP
-    simulate(scene, group, 1.0 / scene.rate_hz)
-    _, spent = timed(now_ns, lambda: simulate(scene, group, COST_ENGINE_S), REPEATS)
-    return spent / (COST_ENGINE_S * GROUP)
-
-
-def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
-    """Measure the cost of the engine, and of the whole stack with the device on the simulated board
-    and nothing enabled; `source` is the scene's name or file.
-    """
-    servo, board = scene_params(source)
-    ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
-    with LockStep(servo, board, keep=False) as stack:
-        stack.run(SETTLING_TICKS)
-        _, spent = timed(now_ns, lambda: stack.run(ticks), ALONE_REPEATS)
-    return Cost(engine_cost(scene, now_ns), GROUP, spent / COST_LOCKSTEP_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +175,7 @@ class ReferenceComparison(ABC, Generic[T]):
     def _simulated(self, setting: Setting, trials: int) -> BatchResult:
         noise = self.torque_n is not None
         return simulate(
-            without(self.scene, *setting.without), [self.scene.environment.free] * trials,
+            self.scene.without(*setting.without), [self.scene.environment.free] * trials,
             setting.seconds, substeps=setting.substeps, dtype=setting.dtype,
             excitation=None if self.torque_n is None else self.torque_n[:trials], own_torque=noise,
             keep="records" if noise else "ticks",
@@ -252,9 +199,13 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         self._f = frequencies()
         found = self._simulated(exact, GROUP)
         self._step_free = pooled(self._spectra(found, DEFAULT_LAG))
-        if is_linear(scene):
+        if scene.is_linear:
             self._true = predicted_impedance(
-                self.own.model, scene.environment.free, self._f, level(scene), self.own.filters
+                self.own.model,
+                scene.environment.free,
+                self._f,
+                scene.level_ns_per_m,
+                self.own.filters,
             )
             self.reference = "exact first harmonic of the linear scene"
             return
@@ -281,7 +232,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         """
         own = self.own
         kbm = self.scene.environment.free
-        asked = (level(self.scene), own.filters, own.perturbation)
+        asked = (self.scene.level_ns_per_m, own.filters, own.perturbation)
         z, alone_s = timed(
             self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS
         )
@@ -437,7 +388,7 @@ def plan_accuracy(scene: Scene, source: str | Path, quick: bool = False) -> Accu
         ),
         *(("trial length", f"{length:g} s", replace(base, seconds=length)) for length in lengths_s),
         *(("window", str(lag), replace(base, lag=lag)) for lag in windows),
-        *(("effect", key, replace(base, substeps=1, without=(key,))) for key in candidates(scene)),
+        *(("effect", key, replace(base, substeps=1, without=(key,))) for key in scene.removable),
     )
     lockstep_s = min(base.seconds, QUICK_LOCKSTEP_S if quick else LOCKSTEP_S)
     return AccuracyPlan(

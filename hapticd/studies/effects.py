@@ -21,6 +21,12 @@ A scene without noise gets the paper's perturbation. Walls are left out, because
 impedance of their own.
 
 Answers must be simulated with the same perturbations: their difference is otherwise chance.
+
+Cost (`cost`). The command line passes the processor time of this process (`time.process_time_ns`)
+as the clock: seconds of one core, whatever else the machine does. The timed code runs on one
+thread. The engine computes a group of trials with every instruction, so the cost of a trial is its
+share of a full group.
+
 Limitations: effects that mask each other, which is why the proposal is simulated as a whole.
 """
 
@@ -29,22 +35,124 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Scene
-from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
-from hapticd.studies.reference import candidates, pooled, spectra_of, without
-from hapticd.zwidth.engine.batch import simulate
+from hapticd.run.lockstep import LockStep, scene_params
+from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
+from hapticd.zwidth.engine.batch import BatchResult, simulate
+from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.sources import display, free_of_walls, frequencies, level, noise
+from hapticd.zwidth.sources import SATURATED, display, frequencies
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
-__all__ = ["EffectsParams", "plan_effects", "run_effects"]
+__all__ = ["EffectsParams", "cost", "plan_effects", "run_effects"]
+
+# --- the cost of a simulated second ---------------------------------------------------------------
+
+T = TypeVar("T")
+Stopwatch = Callable[[], int]  # processor time so far [ns]
+COST_ENGINE_S = 4.0  # simulated, to time the engine
+REPEATS = 9  # the fastest counts: other programs only slow it down
+ALONE_REPEATS = 3
+COST_LOCKSTEP_S = 0.5  # simulated, to time the stack in lock-step
+SETTLING_TICKS = 100  # of a lock-step stack, before it is timed
+GROUP = LANES["f64"]  # trials of a full group where sums alone are kept
+
+
+def timed(now_ns: Stopwatch, call: Callable[[], T], times: int = 1) -> tuple[T, float]:
+    """Return (result of `call`, seconds) of the fastest of `times` calls, the least disturbed."""
+
+    def once() -> tuple[T, float]:
+        begin_ns = now_ns()
+        return call(), (now_ns() - begin_ns) / NS_PER_S
+
+    return min((once() for _ in range(times)), key=lambda run: run[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Seconds of one core per simulated second."""
+
+    engine_s: float  # of one trial in a full group
+    lanes: int  # trials of a full group
+    lockstep_s: float  # of the whole stack
+
+
+def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
+    """Return seconds per simulated second of one trial in a full group. The kernel is compiled
+    before. ConfigError as `simulate`.
+    """
+    group = [scene.environment.free] * GROUP
+    simulate(scene, group, 1.0 / scene.rate_hz)
+    _, spent = timed(now_ns, lambda: simulate(scene, group, COST_ENGINE_S), REPEATS)
+    return spent / (COST_ENGINE_S * GROUP)
+
+
+def cost(scene: Scene, source: str | Path, now_ns: Stopwatch) -> Cost:
+    """Measure the cost of the engine, and of the whole stack with the device on the simulated board
+    and nothing enabled; `source` is the scene's name or file.
+    """
+    servo, board = scene_params(source)
+    ticks = round(COST_LOCKSTEP_S * servo.realtime.rate_hz)
+    with LockStep(servo, board, keep=False) as stack:
+        stack.run(SETTLING_TICKS)
+        _, spent = timed(now_ns, lambda: stack.run(ticks), ALONE_REPEATS)
+    return Cost(engine_cost(scene, now_ns), GROUP, spent / COST_LOCKSTEP_S)
+
+
+# --- spectra of trials ----------------------------------------------------------------------------
+
+
+def spectra_on(
+    torque_n: npt.ArrayLike,
+    velocity_m_per_s: npt.ArrayLike,
+    frequency_hz: Floats,
+    lag: int = DEFAULT_LAG,
+) -> Spectra:
+    """Return spectra of a record at `frequency_hz` (F,), from the whole grid of its window if that
+    contains them.
+    """
+    if lag % DEFAULT_LAG:
+        return spa(torque_n, velocity_m_per_s, lag=lag, frequency_hz=frequency_hz)
+    at = np.rint(frequency_hz * (2 * lag / PROBE_RATE_HZ)).astype(int)
+    return spa(torque_n, velocity_m_per_s, lag=lag).part(at)
+
+
+def spectra_of(
+    found: BatchResult,
+    frequency_hz: Floats,
+    force_limit_n: float,
+    lag: int = DEFAULT_LAG,
+) -> list[Spectra]:
+    """Return spectra at `frequency_hz` (F,) of every trial that ran to its end without reaching the
+    force limit; the others ran away and have no impedance.
+    """
+    calm = ~found.diverged & (found.max_force_n < SATURATED * force_limit_n)
+    return [spectra_on(*found.record(int(one)), frequency_hz, lag) for one in np.flatnonzero(calm)]
+
+
+def pooled(trials: list[Spectra]) -> Complexes:
+    """Return Z (F,) of several trials together, from summed spectra. AnalysisError without
+    trials.
+    """
+    if not trials:
+        raise AnalysisError("not stable: no trial ran to its end, so there is no impedance")
+    return np.asarray(
+        sum(trial.cross for trial in trials) / sum(trial.velocity for trial in trials)
+    )
+
+
+# --- questions ------------------------------------------------------------------------------------
 
 PREDICTED = "predicted"
 SIMULATED = "simulated"
@@ -88,17 +196,17 @@ def impedance(
     method: str,
 ) -> Complexes:
     """Return Z (F,) [N s/m] under one environment: predicted, or of a group of trials together."""
-    own = display(scene, noise(params.scene))
+    own = display(scene, params.scene.noise)
     if method == PREDICTED:
         return predicted_impedance(
-            own.model, kbm, frequency_hz, level(scene), own.filters, own.perturbation
+            own.model, kbm, frequency_hz, scene.level_ns_per_m, own.filters, own.perturbation
         )
     found = simulate(
         scene,
         [kbm] * GROUP,
         params.seconds,
-        active_damping=level(scene),
-        environment=free_of_walls(scene),
+        active_damping=scene.level_ns_per_m,
+        environment=scene.free_of_walls,
         excitation=own.excitation,
         start=(0.0, 0.0),
         keep="records",
@@ -109,8 +217,8 @@ def impedance(
 
 def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
     """Return limits of K [N/m], B [N s/m] and M [kg] < 0; nan if K = B = M = 0 is not passive."""
-    given = Conditions(scene, params.seconds, noise(params.scene))
-    plan = plan_limits(LimitsParams(given, (level(scene),), tolerance=FINE))
+    given = Conditions(scene, params.seconds, params.scene.noise)
+    plan = plan_limits(LimitsParams(given, (scene.level_ns_per_m,), tolerance=FINE))
     if method == PREDICTED:
         return np.array([scan.predicted for scan in plan.scans])
     return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
@@ -231,7 +339,7 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
     nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
     return EffectsPlan(
         params,
-        {key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)},
+        {key: SIMULATED if key in nonlinear else PREDICTED for key in params.scene.removable},
     )
 
 
@@ -255,9 +363,9 @@ class _Study:
         params = plan.params
         self._question = QUESTIONS[params.question]
         self._values = cache(
-            lambda keys, method: self._question.values(params, without(params.scene, *keys), method)
+            lambda keys, method: self._question.values(params, params.scene.without(*keys), method)
         )
-        self._cost = cache(lambda keys: engine_cost(without(params.scene, *keys), now_ns))
+        self._cost = cache(lambda keys: engine_cost(params.scene.without(*keys), now_ns))
 
     def leave_out(self, keys: tuple[str, ...], method: str) -> LeftOut:
         """Evaluate the scene without `keys`; the whole scene if there are none."""

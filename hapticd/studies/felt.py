@@ -24,11 +24,10 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Scene
 from hapticd.render.law import at_rest, design_coefficients, render
-from hapticd.render.parts import CONTROLLERS, ESTIMATORS, LawPart
-from hapticd.studies.reference import without
 from hapticd.studies.remedies import RENDERED_HZ
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.sources import SUBSTEPS, display, free_of_walls, level
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS, LawPart
+from hapticd.zwidth.sources import SUBSTEPS, display
 
 __all__ = ["SINE", "felt", "noise_at_rest", "played"]
 
@@ -44,7 +43,7 @@ def felt(
     """Return Z at RENDERED_HZ (3,) over the asked K / s + B, `asked` in N/m and N s/m, for sines of
     that amplitude; nan where the motion diverges.
     """
-    calm = without(scene, "coulomb")
+    calm = scene.without("coulomb")
     second = np.arange(PROBE_RATE_HZ) / PROBE_RATE_HZ
     found = []
     for hz in RENDERED_HZ:
@@ -52,8 +51,8 @@ def felt(
             display(calm).model,
             [[*asked, 0.0]],
             SETTLED_S,
-            active_damping=level(calm),
-            environment=free_of_walls(calm),
+            active_damping=calm.level_ns_per_m,
+            environment=calm.free_of_walls,
             excitation=amplitude_n * np.sin(2.0 * pi * hz * second),
             substeps=SUBSTEPS,
             keep="records",

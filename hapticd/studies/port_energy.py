@@ -38,7 +38,10 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.coupled import Hand, at_port
 from hapticd.model.scene import Scene
-from hapticd.render.parts import (
+from hapticd.studies.felt import SINE, felt, noise_at_rest
+from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import (
     WINDOW,
     LawPart,
     foaw_part,
@@ -47,10 +50,7 @@ from hapticd.render.parts import (
     observer_part,
     tank_part,
 )
-from hapticd.studies.felt import SINE, felt, noise_at_rest
-from hapticd.studies.remedies import REMEDIES, RemediesParams, Row, treated
-from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.sources import NOISE, SUBSTEPS, display, free_of_walls, level, noise
+from hapticd.zwidth.sources import NOISE, SUBSTEPS, display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent, to_json
 
 __all__ = ["SECONDS", "run_port_energy"]
@@ -148,7 +148,7 @@ def hand_of(sizes: Floats) -> Hand:
 
 def pushed_n(scene: Scene) -> float:
     """Return the push [N] on the scene's device."""
-    stronger = sqrt(noise(scene).psd_n2_per_hz / NOISE.psd_n2_per_hz)
+    stronger = sqrt(scene.noise.psd_n2_per_hz / NOISE.psd_n2_per_hz)
     return min(PUSH_N * stronger, 0.5 * display(scene).force_limit_n)
 
 
@@ -162,8 +162,8 @@ def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floa
             at_port(model, hand_of(sizes)),
             np.pad(points, ((0, 0), (0, 1))),
             SECONDS,
-            active_damping=level(scene),
-            environment=free_of_walls(scene),
+            active_damping=scene.level_ns_per_m,
+            environment=scene.free_of_walls,
             excitation=np.where(seconds < PUSH_S, pushed_n(scene), 0.0),
             substeps=SUBSTEPS,
             parts=parts,

@@ -49,9 +49,9 @@ from hapticd.model.effects import Delay
 from hapticd.model.loop import close_loop, derivatives
 from hapticd.model.scene import DampingStep, Scene
 from hapticd.model.theorem import circles, lifted_system
-from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
 from hapticd.zwidth import limits, outcomes
-from hapticd.zwidth.sources import display, level, noise
+from hapticd.zwidth.passive_set import PassiveSet, axis_limit, grid
+from hapticd.zwidth.sources import display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
 __all__ = [
@@ -167,7 +167,7 @@ def passive_by_theorem(scene: Scene) -> Passive:
     damping.
     """
     shown = display(scene)
-    at = Conditions(level(scene), shown.filters, shown.model.delay_periods, 0.0)
+    at = Conditions(scene.level_ns_per_m, shown.filters, shown.model.delay_periods, 0.0)
     return partial(Theorem(shown.model).safe, at=at)
 
 
@@ -178,7 +178,7 @@ def couplings(scene: Scene) -> Passive:
     """
     shown = display(scene)
     rigid = passive_by_theorem(scene)
-    lifted = lifted_system(shown.model, level(scene), shown.filters)
+    lifted = lifted_system(shown.model, scene.level_ns_per_m, shown.filters)
     unit = np.ones_like(lifted.law[0])  # the condition for any C: |1 + C g|^2 >= R^2 |C|^2
     form = circles(replace(lifted, law=np.stack((unit, 1j * unit, 0.0 * unit)))).form
     centre, excess = 0.5 * (form[1] - 1j * form[2]), form[4]
@@ -283,7 +283,7 @@ def rendered(scene: Scene, asked: tuple[float, float], law: Law) -> Complexes:
     f = np.array(RENDERED_HZ)
     rate_hz = shown.model.rate_hz
     c = law(derivatives(np.exp(2j * np.pi * f / rate_hz), rate_hz, shown.filters)[0])
-    loop = close_loop(shown.model, f, level(scene), shown.filters)
+    loop = close_loop(shown.model, f, scene.level_ns_per_m, shown.filters)
     z = (1.0 + c * loop.common[1]) / (loop.admittance[0, 0, 0] + c * loop.admittance[0, 0, 1])
     return np.asarray(z / (k / (2j * np.pi * f) + b))
 
@@ -357,7 +357,12 @@ def run_remedies(
 
 def _searched(params: RemediesParams, scene: Scene, row: Row) -> limits.LimitsParams:
     base = (0.0, np.nan_to_num(row.virtual_damping_ns_per_m), 0.0)
-    given = outcomes.Conditions(scene, params.seconds, noise(scene))
+    given = outcomes.Conditions(scene, params.seconds, scene.noise)
     return limits.LimitsParams(
-        given, (level(scene),), axes=(0,), seeds=params.seeds, base=base, tolerance=TOLERANCE
+        given,
+        (scene.level_ns_per_m,),
+        axes=(0,),
+        seeds=params.seeds,
+        base=base,
+        tolerance=TOLERANCE,
     )

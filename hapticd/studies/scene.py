@@ -47,13 +47,13 @@ from hapticd.model.compose import compose, compose_device
 from hapticd.model.discrete import edge, expm, modes, stability
 from hapticd.model.effects import WindingTemperature
 from hapticd.model.loop import spectral_radius
-from hapticd.model.model import Array, Model
+from hapticd.model.model import Model
 from hapticd.model.scene import Scene
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.simulated import simulated
-from hapticd.zwidth.sources import SUBSTEPS, Trial, level
+from hapticd.zwidth.sources import SUBSTEPS, Trial
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
 
@@ -127,7 +127,7 @@ class SceneResult:
 def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
     """Plan two cases: without active damping and with it. `seconds` None: the scene's own."""
     own = tuple((step.at_s, step.level_ns_per_m) for step in scene.active_damping)
-    damped = level(scene) > 0.0
+    damped = scene.level_ns_per_m > 0.0
     cases = (
         DampingCase("no active damping", ((0.0, 0.0),), own=not damped),
         DampingCase(_name(own), own, own=True) if damped else DampingCase(_name(ON), ON, own=False),
@@ -226,7 +226,7 @@ def ceiling(scene: Scene) -> Ceiling:
             " 'crowbar'"
         )
     top = damping_ceiling(model, HIGHEST_NS_PER_M)
-    asked = level(scene)
+    asked = scene.level_ns_per_m
     growing = max(modes(model, top), key=lambda mode: mode.real)
     windings = [effect for effect in scene.effects if isinstance(effect, WindingTemperature)]
     lowest, highest = _loop(scene, model, top)
@@ -301,7 +301,7 @@ def compare_integrators(scene: Scene) -> Integrators:
     `compose`.
     """
     model = compose(scene)
-    a = model.a(level(scene))
+    a = model.a(scene.level_ns_per_m)
     start = np.array(
         [SPEED_M_PER_S if state.name.endswith("_velocity") else 0.0 for state in model.states]
     )
@@ -323,7 +323,7 @@ def compare_integrators(scene: Scene) -> Integrators:
     return Integrators(np.array(STEPS_PER_MS, np.float64), error, longest, fastest_s)
 
 
-def _error(millisecond: Array, start: Floats, true: Floats) -> float:
+def _error(millisecond: Floats, start: Floats, true: Floats) -> float:
     """Return the largest error of any coordinate, over its largest value."""
     size = np.abs(true).max(axis=0)
     error = float(
@@ -343,7 +343,7 @@ def _step(method: str, ah: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return matrix
 
 
-def _marks(millisecond: Array, start: Floats) -> Floats:
+def _marks(millisecond: Floats, start: Floats) -> Floats:
     """Return (SPAN_MS, n): the state at the end of each millisecond; `millisecond` is the matrix of
     one.
     """

@@ -70,7 +70,7 @@ from hapticd.usb.codec import (
 )
 from hapticd.usb.frames import Capability, HelloFrame, Request
 
-__all__ = ["NO_CODE", "NO_HEAD", "NO_TIME_US", "SEED", "UNKNOWN_US", "Device", "Head"]
+__all__ = ["NO_CODE", "NO_HEAD", "NO_TIME_US", "SEED", "Device", "Head"]
 
 # --- events at the board's pins -------------------------------------------------------------------
 
@@ -122,7 +122,6 @@ Received = tuple[int, int, int, Head]
 # board time of a missing sample: the delay becomes negative
 NO_SAMPLE_US = 1 << 62
 AGE_HIGHEST_US = codec.U16_HIGHEST  # of a torque; it also represents longer ages
-UNKNOWN_US = -1
 MOST_LAG = codec.SEQ_MASK // 2  # a larger lag means an OUT ahead of this one
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
@@ -260,7 +259,7 @@ def _exchange(
         nonlocal missing
         missing += 1
         counts[kind] += 1
-        return -missing, board_us, UNKNOWN_US, head
+        return -missing, board_us, NO_TIME_US, head
 
     def fetch() -> Head | str:
         """Return one frame, or how it failed; packets of zero length are skipped."""
@@ -335,8 +334,8 @@ def _exchange(
         """
         age_us = found[HEAD_TORQUE_AGE]
         if age_us == AGE_HIGHEST_US:
-            return UNKNOWN_US
-        return max(UNKNOWN_US, board_us - age_us - sampled[found[HEAD_TORQUE_SEQ]])
+            return NO_TIME_US
+        return max(NO_TIME_US, board_us - age_us - sampled[found[HEAD_TORQUE_SEQ]])
 
     def receive() -> Received:
         nonlocal head, board_us, expected, missing

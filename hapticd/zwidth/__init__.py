@@ -18,9 +18,13 @@ Importing the package imports nothing else; a script imports the modules that it
     recorded    read_file                          the record in a file of any program
     portable    portable, compare                  NAME.zwidth files, and comparison of displays;
                 Z(f) for the tools of control engineering
+    passive_set PassiveSet, Envelope, axis_limit   the set of K, B and M; the Z-width envelope
+    compare     widths_db, check_alike             numbers of displays, and conditions of comparison
+    alignment   align                              a record of another system, aligned with ours
 
-The other modules serve these: `watch` (ends a trial early), `aligned` and `timestamps`
-(records of files), `store` (stored results), `executors` (threads, processes, clusters). `sources`
-also has the properties of a scene for procedures, and the stepped sine, an independent measurement
-of an impedance. Below them is `engine`, which simulates, above them `report`, which draws.
+The other modules serve these: `watch` (ends a trial early), `aligned`, `timestamps` and `matching`
+(records of files), `acquisition` and `surrogate` (the choice of the next trial of a search),
+`store` (stored results), `executors` (threads, processes, clusters). `sources` also has the
+properties of a scene for procedures, and the stepped sine, an independent measurement of an
+impedance. Below them is `engine`, which simulates, above them `report`, which draws.
 """

@@ -2,7 +2,7 @@
 the same trial.
 
 The daemon's own record contains the rendered environment of every tick, the largest command, and
-the lost slots; the other system has the better sensors. `signal.alignment` finds the start, the
+the lost slots; the other system has the better sensors. `zwidth.alignment` finds the start, the
 clock and the gaps of the file from the mark at the start of the perturbation. The file's channels
 are then interpolated at the times of the daemon's samples, so that sample i of the result is sample
 `first_sample` + i of the own record. Samples that the file lost are filled and counted as in a live
@@ -23,8 +23,8 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.signal.alignment import FASTEST, LEAST, NO_MARK, Mark, Track, align, find_marks
-from hapticd.signal.matching import Gap, fitting, interpolated
+from hapticd.zwidth.alignment import FASTEST, LEAST, NO_MARK, Mark, Track, align, find_marks
+from hapticd.zwidth.matching import Gap, fitting, interpolated
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
 from hapticd.zwidth.watch import GapFiller, in_even_time

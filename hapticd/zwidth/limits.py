@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.arrays import Floats
-from hapticd.signal.passive_set import AXES, axis_limit
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.outcomes import (
     Conditions,
@@ -42,6 +41,7 @@ from hapticd.zwidth.outcomes import (
     points_of,
     run_all,
 )
+from hapticd.zwidth.passive_set import AXES, axis_limit
 from hapticd.zwidth.sources import Display
 from hapticd.zwidth.store import Progress, TrialStore, silent
 

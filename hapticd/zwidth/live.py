@@ -38,12 +38,12 @@ from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
 from hapticd.protocol.answers import Status
 from hapticd.recording.provenance import CalibrationDoubt, certificate_of, doubts
-from hapticd.signal.alignment import find_marks
+from hapticd.zwidth.alignment import find_marks
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
-__all__ = ["allowed_waveform", "daemon_source", "signals"]
+__all__ = ["allowed_waveform", "daemon_source"]
 
 LEASE_S = 5.0  # a trial that hangs for longer has ended
 RENEW_S = 1.0
@@ -331,7 +331,7 @@ class LiveRecording:
         self._newest = ticks[-1]
 
     def _take(self, block: Block) -> None:
-        self._parts.append(self._gaps.filled(block.records["index"], signals(block)))
+        self._parts.append(self._gaps.filled(block.records["index"], block.signals()))
         self._taken += self._parts[-1][1].size
 
 
@@ -344,19 +344,6 @@ def _gone(status: Status) -> TrialEnd | None:
     cause = status.cause if reason is not EndReason.DISABLED else ""
     fault = status.fault if reason is EndReason.FAULT else ""
     return TrialEnd(reason, cause or "another client ended it", fault)
-
-
-def signals(probe: Block) -> Floats:
-    """Return force [N] and velocity [m/s] (2, n) of a block of the probe's samples."""
-    scales = {name: probe.header["scale"][name] for name in ("torque", "velocity")}
-    return np.stack(
-        [
-            one["sign"]
-            * (probe.records[name].astype(np.float64) - one["offset_count"])
-            * one["per_count"]
-            for name, one in scales.items()
-        ]
-    )
 
 
 def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:

@@ -7,7 +7,7 @@ neighbour of the opposite prediction. The rest keeps its prediction, marked so. 
 every trial, with one sub-step elsewhere, which suffices far from the boundary. `refine` then halves
 the grid: a trial runs in the middle of two neighbours along an axis with different answers. Every
 other new point gets the mean of its neighbours' margins, so it passes if both pass. That is the
-linear margin between corners that also gives volumes (`signal.passive_set`).
+linear margin between corners that also gives volumes (`zwidth.passive_set`).
 
 Outcomes go to an append-only store, keyed by everything that they depend on. If a map is
 interrupted, or requested again with a wider grid, only the missing trials run. Tasks run on any
@@ -27,7 +27,6 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import Prediction
-from hapticd.signal.passive_set import Envelope, PassiveSet, ascending, grid
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
@@ -43,6 +42,7 @@ from hapticd.zwidth.outcomes import (
     restored,
     run_all,
 )
+from hapticd.zwidth.passive_set import Envelope, PassiveSet, ascending, grid
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
 __all__ = [

@@ -38,18 +38,19 @@ import numpy as np
 from hapticd import __version__
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.predict import coulomb
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import Envelope
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, Judged
+from hapticd.signal.verdict import NEAR_HZ, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
-from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, free_of_walls, frequencies
+from hapticd.zwidth.passive_set import Envelope
+from hapticd.zwidth.sources import NOISE, SATURATED, Display, display, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 from hapticd.zwidth.watch import SATURATED_SHARE
 
@@ -193,7 +194,7 @@ def _simulated(
         conditions.seconds,
         conditions.excitation.seed,
         active_damping=active_damping_ns_per_m,
-        environment=free_of_walls(conditions.scene),
+        environment=conditions.scene.free_of_walls,
         excitation=conditions.excitation,
         start=(0.0, 0.0),
         substeps=conditions.substeps,

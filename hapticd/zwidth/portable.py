@@ -9,7 +9,7 @@ Comparison (`compare`). It reads several such files, checks that they are compar
 the moving mass. Numbers of two displays are comparable under equal conditions: band, judged
 frequencies, perturbation, length of a trial, confidence, port and estimator. Differences are
 refused by name unless allowed, and an allowed difference is named with the result. The perturbation
-counts as alike if its force is the same, or the same per mass (`signal.compare`).
+counts as alike if its force is the same, or the same per mass (`zwidth.compare`).
 
 Limitations: a device file edited without a new name; the hash shows it only to users with the older
 file.
@@ -47,7 +47,10 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.core.extras import need
 from hapticd.settings.load import find_device
 from hapticd.settings.toml import SAMPLES_BYTES, read, regular, shipped
-from hapticd.signal.compare import (
+from hapticd.signal.impedance import spread_of
+from hapticd.signal.verdict import Judged, half_width, sidak
+from hapticd.zwidth import outcomes
+from hapticd.zwidth.compare import (
     EnvelopeConditions,
     check_alike,
     normalised,
@@ -55,11 +58,8 @@ from hapticd.signal.compare import (
     stiffness_rate,
     zero_mass_bandwidth_hz,
 )
-from hapticd.signal.impedance import spread_of
-from hapticd.signal.passive_set import AXES, Edge, Envelope
-from hapticd.signal.verdict import Judged, half_width, sidak
-from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap
+from hapticd.zwidth.passive_set import AXES, Edge, Envelope
 from hapticd.zwidth.sources import Display
 from hapticd.zwidth.store import csv_text, to_json
 from hapticd.zwidth.trial import TrialResult
@@ -142,7 +142,7 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 
 
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
-    """Return the conditions of all of it, in the form of `signal.compare`."""
+    """Return the conditions of all of it, in the form of `zwidth.compare`."""
     model = conditions.display.model
     return {
         "seconds": conditions.seconds,

@@ -1,7 +1,7 @@
 """Search for the boundary of the passive set with few simulated trials, each where it gives most
 information.
 
-`signal.search` learns from the trials and chooses the next; here its oracle is a simulated trial,
+`acquisition` learns from the trials and chooses the next; here its oracle is a simulated trial,
 with its intervals as weights. The prior is the device's model (`ModelPrior`). The trials teach how
 Re Z differs from the prediction, and how close to the limit of its friction the loop may come
 before it escapes. A few trials run at a time, each with noise of its own (seed, seed + 1, ..), as
@@ -20,7 +20,7 @@ through the result is the largest passive K over B at one M, with the prediction
 trial.
 
 Limitations: a device whose Re Z differs from the prediction in a way that changes faster than the
-surrogate's correlation lengths (`signal.surrogate`); no later trial then corrects it.
+surrogate's correlation lengths (`zwidth.surrogate`); no later trial then corrects it.
 """
 
 from collections.abc import Callable
@@ -33,8 +33,9 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats, bisect
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.signal.passive_set import PassiveSet, grid
-from hapticd.signal.search import (
+from hapticd.signal.spectra import DEFAULT_LAG
+from hapticd.signal.verdict import Judged
+from hapticd.zwidth.acquisition import (
     ModelPrior,
     Search,
     doubtful_share,
@@ -42,9 +43,6 @@ from hapticd.signal.search import (
     next_trials,
     predicted_passive,
 )
-from hapticd.signal.spectra import DEFAULT_LAG
-from hapticd.signal.surrogate import Box, Observation, margin
-from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import (
     Conditions,
@@ -57,8 +55,10 @@ from hapticd.zwidth.outcomes import (
     points_of,
     run_all,
 )
+from hapticd.zwidth.passive_set import PassiveSet, grid
 from hapticd.zwidth.sources import SATURATED
 from hapticd.zwidth.store import Progress, TrialStore, silent
+from hapticd.zwidth.surrogate import Box, Observation, margin
 
 __all__ = ["SearchParams", "SearchResult", "observed", "plan_search", "run_search"]
 

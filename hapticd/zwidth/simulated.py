@@ -29,7 +29,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> sources.Source:
             trial.seconds,
             trial.excitation.seed,
             active_damping=trial.active_damping_ns_per_m,
-            environment=sources.free_of_walls(scene),
+            environment=scene.free_of_walls,
             start=(0.0, 0.0),
             substeps=substeps,
             keep="ticks",

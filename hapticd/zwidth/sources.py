@@ -15,9 +15,8 @@ the scene's.
 
 A typed environment must be that of the file's record; only this package's own files contain theirs.
 
-Scenes (`Display`). A procedure needs the environment of a scene without walls, its damping level,
-its impedance, and the scene without an effect. `Display` is the device of a scene, composed once,
-with all predictions.
+Scenes (`Display`). A procedure needs the impedance of a scene in many environments. `Display` is
+the device of a scene, composed once, with all predictions.
 
 Z is measured as in the paper (noise at the probe, `signal.spectra`) on frequencies evenly spaced in
 ln f. They are on the grid of the paper's window, so the grid of a longer window contains them too.
@@ -44,14 +43,14 @@ from pathlib import Path
 import numpy as np
 
 from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.core.environment import Environment, WallParams
+from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.core.units import DEFAULT_BAND_HZ, PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters
 from hapticd.model.model import Model
-from hapticd.model.predict import DEFAULT_BAND_HZ, Prediction, predict, recorded_impedances
+from hapticd.model.predict import Prediction, predict, recorded_impedances
 from hapticd.model.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.config import validated
@@ -74,12 +73,9 @@ __all__ = [
     "device_scene",
     "display",
     "file_source",
-    "free_of_walls",
     "frequencies",
     "given",
-    "level",
     "may_follow",
-    "noise",
     "scene_of_device",
     "stepped_sine",
 ]
@@ -91,25 +87,6 @@ FREQUENCIES = 60
 # per 4 kHz sample: error below the random error of a 90 s trial (docs/development/accuracy.md)
 SUBSTEPS = 4
 SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
-
-
-def level(scene: Scene) -> float:
-    """Return the highest active damping [Ns/m] of the scene."""
-    return max(step.level_ns_per_m for step in scene.active_damping)
-
-
-def free_of_walls(scene: Scene) -> Environment:
-    """Return the environment without its wall, which has no impedance of its own."""
-    return replace(scene.environment, wall=WallParams())
-
-
-def noise(scene: Scene) -> Excitation:
-    """Return the scene's own noise, or the paper's if the scene has none."""
-    return (
-        scene.excitation
-        if scene.excitation.kind == "noise"
-        else Excitation("noise", seed=scene.excitation.seed)
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +165,7 @@ def display(scene: Scene, excitation: Excitation | None = None) -> Display:
     """Return the scene's device, composed once, under `excitation`, by default its own noise.
     ConfigError as `compose`.
     """
-    return Display(scene, excitation or noise(scene), _composed(scene))
+    return Display(scene, excitation or scene.noise, _composed(scene))
 
 
 _composed = lru_cache(maxsize=64)(compose)
@@ -348,7 +325,7 @@ def given(
     free = [other if own is None else own for own, other in zip(typed, others, strict=True)]
     active = active_damping_ns_per_m
     if active is None:
-        active = level(scene) if scene else 0.0
+        active = scene.level_ns_per_m if scene else 0.0
     return Environment(active_damping_ns_per_m=active).with_free(free)
 
 

@@ -50,7 +50,7 @@ from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ, percent
 from hapticd.recording.pack import JSON_ATTRIBUTES, REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
-from hapticd.signal.alignment import find_marks
+from hapticd.zwidth.alignment import find_marks
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 

@@ -6,7 +6,7 @@ import pytest
 from support.foreign import MARK_AT, own, played, recorded, without
 from test_analysis_alignment import OFFSET, ROWS, SECONDS, noisy
 
-from hapticd.signal.alignment import align
+from hapticd.zwidth.alignment import align
 
 
 @pytest.fixture(scope="module")

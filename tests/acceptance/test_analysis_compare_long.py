@@ -10,13 +10,13 @@ from test_analysis_compare import SOFT
 
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import predict, predicted_impedance
-from hapticd.signal.compare import (
+from hapticd.zwidth.compare import (
     EnvelopeConditions,
     check_alike,
     normalised,
     stiffness_damping_area,
 )
-from hapticd.signal.passive_set import PassiveSet, grid
+from hapticd.zwidth.passive_set import PassiveSet, grid
 
 
 def measured(scale):

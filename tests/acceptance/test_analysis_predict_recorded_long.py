@@ -7,7 +7,8 @@ from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
 from examples.weir2008.paper import MAIN
 from examples.weir2008.run import POINTS, conditions
-from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies, predicted_impedance
+from hapticd.core.units import DEFAULT_BAND_HZ
+from hapticd.model.predict import frequencies, predicted_impedance
 
 
 @LEVEL

@@ -10,8 +10,8 @@ from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance, with_equivalent_damping
 from hapticd.settings.scene import load_scene
-from hapticd.signal.search import ModelPrior
-from hapticd.signal.surrogate import Box
+from hapticd.zwidth.acquisition import ModelPrior
+from hapticd.zwidth.surrogate import Box
 
 F = np.array([2.9296875, 8.7890625, 40.0390625, 90.8203125, 250.0, 499.0234375])
 BOX = Box((0.0, 0.0, -0.02), (1500.0, 9.0, 0.03))

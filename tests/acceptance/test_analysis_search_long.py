@@ -14,12 +14,12 @@ from support.analysis_search import (
     error,
 )
 
-from hapticd.signal.search import (
+from hapticd.zwidth.acquisition import (
     Search,
     doubtful_share,
     predicted_passive,
 )
-from hapticd.signal.surrogate import margin, margin_sd, resistance
+from hapticd.zwidth.surrogate import margin, margin_sd, resistance
 
 
 @pytest.mark.slow

@@ -11,8 +11,9 @@ from support.models import COUNT_NS_PER_M, servo_params
 from test_assembly_lockstep import FIG_4, FIG_7, enable, perturbed
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams, RealtimeParams, UsbParams
+from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

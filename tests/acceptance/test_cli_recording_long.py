@@ -11,7 +11,7 @@ from support.recorded import RecordedFlight
 from test_cli_recording import ClientDouble, connected
 
 from hapticd.cli.app import main
-from hapticd.core.params import InjectionParams
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.flight import flights_folder
 
 

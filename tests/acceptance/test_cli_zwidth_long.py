@@ -268,11 +268,10 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     from hapticd.cli.zwidth import map as verb
     from hapticd.settings.scene import load_scene
     from hapticd.zwidth.outcomes import Conditions, run_trials
-    from hapticd.zwidth.sources import noise
     from hapticd.zwidth.store import write_run
 
     scene = load_scene("theory")
-    conditions = Conditions(scene, 20.0, noise(scene))
+    conditions = Conditions(scene, 20.0, scene.noise)
     monkeypatch.setattr(verb, "REDRAW_S", -1.0)
     redrawn = verb._Redrawn(conditions, tmp_path, None)
     failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))

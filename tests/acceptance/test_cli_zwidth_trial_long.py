@@ -13,7 +13,7 @@ from support.cli_zwidth_trial import LINEAR, MULTISINE, run
 from support.spectral_trials import mass_damper, record
 
 from hapticd.cli import change
-from hapticd.core.params import InjectionParams
+from hapticd.model.params import InjectionParams
 from hapticd.run.lockstep import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load

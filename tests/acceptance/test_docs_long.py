@@ -22,10 +22,10 @@ from test_docs import STATUS_KEYS, names_that_do_not_exist
 from hapticd.cli.app import command_line
 from hapticd.client import Client
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.core.units import unit_of
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.protocol.schemas import MODELS
 from hapticd.protocol.telemetry import TOPICS
 from hapticd.settings.config import Simulation, keys_of, leaves

@@ -32,14 +32,11 @@ from support.recorded import RecordedFlight
 from test_gateway_delivered import changed, failed
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import (
-    InjectionParams,
-    RealtimeParams,
-    TouchParams,
-)
+from hapticd.core.params import RealtimeParams
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.judge import Judge
 from hapticd.mailbox.layout import Command, State, Value
+from hapticd.model.params import InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
 

@@ -11,8 +11,8 @@ from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from test_gateway_in_flight import at_a_wall
 from test_gateway_overtaken import enabled
 
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import State
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 
 

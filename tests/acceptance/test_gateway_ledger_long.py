@@ -3,7 +3,7 @@
 import pytest
 from test_gateway_ledger import EVERYTHING, LOSSES, flown, sums
 
-from hapticd.protocol.view import NAMES, Ledger
+from hapticd.protocol.ledger import NAMES, Ledger
 
 
 def test_sums_do_not_depend_on_how_records_come():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
 
-from hapticd.protocol.view import Records
+from hapticd.core.arrays import Records
 
 
 @pytest.fixture

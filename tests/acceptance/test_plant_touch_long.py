@@ -7,7 +7,7 @@ from math import sqrt
 import pytest
 from test_plant_touch import flown, plant_of
 
-from hapticd.core.params import HandParams, TouchParams
+from hapticd.model.params import HandParams, TouchParams
 
 
 def test_tremor_is_seeded_and_as_large_as_it_says():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight, recorded_into
 
-from hapticd.protocol.view import NAMES, Ledger
+from hapticd.protocol.ledger import NAMES, Ledger
 from hapticd.recording.file import DATASETS, GROUP, energies, open_recording, total_j
 
 

@@ -6,9 +6,9 @@ import msgpack
 from support.recorded import RecordedFlight, Source, room
 
 from hapticd.core.units import NS_PER_S, VirtualClock
+from hapticd.recording import replay
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.run import replay
 
 
 def test_another_servo_life_is_no_gap(recorded_run: RecordedFlight, tmp_path: Path) -> None:

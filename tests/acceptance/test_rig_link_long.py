@@ -7,7 +7,7 @@ from support.boards import board_params
 from support.models import servo_params
 from test_rig_link import SECONDS, found, watched
 
-from hapticd.core.params import InjectionParams
+from hapticd.model.params import InjectionParams
 from hapticd.rig.steps.link import measure
 from hapticd.run.lockstep import LockStepClient
 from hapticd.usb.frames import StatusBit

@@ -7,7 +7,8 @@ from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
 from hapticd.core.errors import AnalysisError, HapticdError
-from hapticd.core.params import ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams
+from hapticd.model.params import TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.rig.result import line
 from hapticd.rig.steps.motor import (

@@ -6,7 +6,7 @@ from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_spring import SPRING
 
-from hapticd.core.params import TouchParams
+from hapticd.model.params import TouchParams
 from hapticd.rig.steps import encoder, motor
 from hapticd.rig.steps.motor import Spring, measure_offset, measure_spring
 

@@ -4,8 +4,8 @@ import pytest
 from support.models import servo_params
 from test_servo_bus import IN_TURN, failing, far_board
 
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Result
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

@@ -11,10 +11,10 @@ from support.servo_compensation import ABLE, COUNT_OHM, Warm, copper, params
 from test_servo_compensation import BLIND
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
-from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import HandParams, InjectionParams, TouchParams
+from hapticd.recording.replay import Segment, replay
 from hapticd.run.lockstep import LockStep
-from hapticd.run.replay import Segment, replay
 from hapticd.servo.plan import (
     SETTLED,
     flatten,

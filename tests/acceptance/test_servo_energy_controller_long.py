@@ -22,8 +22,9 @@ from support.servo_energy_controller import (
     wall,
 )
 
-from hapticd.core.params import HandParams, SafetyParams, TouchParams
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

@@ -5,7 +5,7 @@ import pytest
 from support.models import COUNT_M
 from test_servo_homing_glitch import homed
 
-from hapticd.core.params import InjectionParams
+from hapticd.model.params import InjectionParams
 from hapticd.servo.safety import State
 
 SEEN_N = 0.05  # of 0.5 N: what a sample that waits for the next one leaves

@@ -13,9 +13,10 @@ from support.models import COUNT_M, COUNT_N, device_params, servo_params
 from test_servo_homing import INDEX, STOP_M, damped, held, why
 
 from hapticd.core.faults import BY_NUMBER
-from hapticd.core.params import Ends, HandParams, ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.model.composed import POSITION, VELOCITY
+from hapticd.model.params import Ends, HandParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.servo.homing import FASTEST

@@ -12,7 +12,7 @@ from test_servo_ramp_energy import SOFT, TEN_MM, budgeted, hand
 
 from hapticd.core.params import RAMP_ENERGY_J
 from hapticd.mailbox.layout import Command, Flag, Value
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.servo.energy import spring_energy
 
 

@@ -6,8 +6,9 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams, SafetyParams
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

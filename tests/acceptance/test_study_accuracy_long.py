@@ -11,7 +11,6 @@ from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import (
-    GROUP,
     PhaseComparison,
     PositionComparison,
     Setting,
@@ -19,7 +18,7 @@ from hapticd.studies.accuracy import (
     plan_accuracy,
     run_accuracy,
 )
-from hapticd.studies.reference import without
+from hapticd.studies.effects import GROUP
 from hapticd.zwidth.sources import frequencies
 
 # --- a linear scene, exactly known ----------------------------------------------------------------
@@ -83,7 +82,7 @@ def test_left_out_effect_errs_by_what_the_theory_says(linear) -> None:
     f = frequencies()
     whole, light = (
         predicted_impedance(compose(each), (1000.0, 0.0, 0.0), f)
-        for each in (scene_, without(scene_, "probe"))
+        for each in (scene_, scene_.without("probe"))
     )
     probe = next(one for one in found.sweep("effect") if one.label == "probe")
     assert probe.step == pytest.approx(phase_rms(light / whole), rel=0.05)

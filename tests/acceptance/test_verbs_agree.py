@@ -13,7 +13,7 @@ from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.simulated import engine_source
-from hapticd.zwidth.sources import Trial, noise
+from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialStore
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
@@ -28,7 +28,7 @@ ALONE = 1.0  # a tolerance that ends a search of a limit after its first round
 def given(dtype):
     """Conditions of all verbs."""
     scene = load_scene(SCENE)
-    return Conditions(scene, SECONDS, replace(noise(scene), seed=SEED), dtype=dtype)
+    return Conditions(scene, SECONDS, replace(scene.noise, seed=SEED), dtype=dtype)
 
 
 def by_trial(point, seed):
@@ -150,7 +150,7 @@ def test_limits_and_the_reproduction_find_the_same_limit_of_every_noise():
     2.93 Hz on, the limit would be another."""
     own = run.conditions(HIGH_PASS)
     scene = load_scene(run.SCENES[HIGH_PASS])
-    asked = Conditions(scene, SECONDS, replace(noise(scene), seed=own.excitation.seed))
+    asked = Conditions(scene, SECONDS, replace(scene.noise, seed=own.excitation.seed))
     searched = {"levels": (LEVEL,), "axes": (0,), "seeds": 2}
     limit, elsewhere = (
         run_limits(plan_limits(LimitsParams(one, **searched)), TrialStore(None)).limits[0]

@@ -8,7 +8,7 @@ from support import reproduced
 
 from examples.weir2008.figures import drawn
 from examples.weir2008.run import ReproduceResult
-from hapticd.signal.passive_set import Edge
+from hapticd.zwidth.passive_set import Edge
 from hapticd.zwidth.report.envelope import NOBODY, Drawn, weighty
 
 

@@ -10,10 +10,9 @@ import pytest
 from examples.weir2008 import future_work
 from examples.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import grid
 from hapticd.zwidth.map import MapParams, plan_map
 from hapticd.zwidth.outcomes import Conditions
-from hapticd.zwidth.sources import noise
+from hapticd.zwidth.passive_set import grid
 
 AXES = (np.linspace(0.0, 2100.0, 7), np.linspace(0.0, 1.9, 6), np.linspace(-0.002, 0.003, 6))
 
@@ -21,7 +20,7 @@ AXES = (np.linspace(0.0, 2100.0, 7), np.linspace(0.0, 1.9, 6), np.linspace(-0.00
 @pytest.fixture(scope="module")
 def conditions():
     scene = load_scene("theory")
-    return Conditions(scene, 30.0, noise(scene))
+    return Conditions(scene, 30.0, scene.noise)
 
 
 @pytest.fixture(scope="module")

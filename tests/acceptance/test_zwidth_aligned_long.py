@@ -17,8 +17,8 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.aligned import read_aligned
+from hapticd.zwidth.alignment import find_marks
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.store import MARK_SAMPLE
 

@@ -9,8 +9,8 @@ import pytest
 from test_zwidth_live import RIGID, SECONDS, Looped, flown
 
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.sources import Trial

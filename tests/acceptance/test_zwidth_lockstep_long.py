@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from hapticd.run.lockstep import run_lockstep
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import phase_rms
-from hapticd.studies.reference import run_lockstep, spectra_on
+from hapticd.studies.effects import spectra_on
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import frequencies
 

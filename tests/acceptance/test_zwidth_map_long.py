@@ -11,9 +11,7 @@ from test_zwidth_map import AXES
 
 from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import PassiveSet, grid
-from hapticd.signal.search import first_trials, predicted_passive
-from hapticd.signal.surrogate import Box
+from hapticd.zwidth.acquisition import first_trials, predicted_passive
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, kept_map, plan_map, run_map
 from hapticd.zwidth.outcomes import (
@@ -22,9 +20,10 @@ from hapticd.zwidth.outcomes import (
     restored,
     run_trials,
 )
+from hapticd.zwidth.passive_set import PassiveSet, grid
 from hapticd.zwidth.search import SearchParams, plan_search, rounded, run_search, slice_at
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
+from hapticd.zwidth.surrogate import Box
 
 
 def test_axis_limits_are_those_of_sampled_data_theory():
@@ -118,7 +117,7 @@ def test_search_beats_the_prediction_that_it_began_from():
     seeds.
     """
     scene = load_scene("fig4")
-    calibrated = Conditions(scene, 90.0, noise(scene))
+    calibrated = Conditions(scene, 90.0, scene.noise)
     plan = plan_search(SearchParams(calibrated, 1.74, budget=20, doubt=0.0))
     result = run_search(plan, TrialStore(None))
     axes = (np.linspace(0.0, 1400.0, 8), np.linspace(0.0, 10.0, 8), np.linspace(-0.028, 0.04, 8))

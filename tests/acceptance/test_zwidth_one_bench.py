@@ -40,7 +40,7 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
 HOME = {
     "judge": "signal.verdict",
     "assess": "signal.assess",
-    "axis_limit": "signal.passive_set",
+    "axis_limit": "zwidth.passive_set",
     "bracket": "zwidth.limits",
     "search_limit": "zwidth.limits",
     "run_all": "zwidth.outcomes",
@@ -125,7 +125,7 @@ PLANTED = {
         " rule(trial).within_90_deg\n"
     ),
     "axis_limit": (
-        "from hapticd.signal import passive_set\n\ndef searched(flown):\n    return"
+        "from hapticd.zwidth import passive_set\n\ndef searched(flown):\n    return"
         " passive_set.axis_limit(flown, 0, 2e4)\n"
     ),
     "run_trials": (

@@ -8,8 +8,8 @@ from support.foreign import MARK_AT, own, played, recorded, without
 
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import MARK_LEAD, mark_signs, marked
-from hapticd.signal.alignment import align, find_marks
-from hapticd.signal.matching import fitting, interpolated
+from hapticd.zwidth.alignment import align, find_marks
+from hapticd.zwidth.matching import fitting, interpolated
 
 SECONDS = 12.0
 ROWS = 62_000

@@ -8,7 +8,7 @@ import pytest
 from hapticd.cli.app import main
 from hapticd.guard.safe_region import passive_ranges
 from hapticd.mailbox import files
-from hapticd.mailbox.client_side import STATED, environment_limits
+from hapticd.protocol.limits import STATED, environment_limits
 from hapticd.run import supervisor
 from hapticd.settings.load import Override, load
 from hapticd.settings.scene import load_scene

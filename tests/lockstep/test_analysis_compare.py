@@ -10,7 +10,9 @@ from support.envelopes import EnvelopeTrial, envelope, of_trial
 from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.compare import (
+from hapticd.signal.impedance import impedance
+from hapticd.signal.verdict import judge
+from hapticd.zwidth.compare import (
     EnvelopeConditions,
     check_alike,
     differences,
@@ -22,9 +24,7 @@ from hapticd.signal.compare import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.signal.impedance import impedance
-from hapticd.signal.passive_set import PassiveSet, grid
-from hapticd.signal.verdict import judge
+from hapticd.zwidth.passive_set import PassiveSet, grid
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

@@ -11,7 +11,7 @@ from hapticd.model.effects import Multiplier, PassiveHand, WindingTemperature
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
-from hapticd.signal.passive_set import axis_limit
+from hapticd.zwidth.passive_set import axis_limit
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3

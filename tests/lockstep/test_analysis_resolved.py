@@ -16,10 +16,10 @@ from support.analysis_resolved import (
 )
 
 from hapticd.core.arrays import Floats
+from hapticd.core.units import DEFAULT_BAND_HZ as BAND
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.resolved import resolved, unresolved
 from hapticd.signal.spectra import spa
-from hapticd.signal.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.signal.verdict import Verdict, judge
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.sources import Trial

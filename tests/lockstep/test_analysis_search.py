@@ -18,14 +18,14 @@ from support.analysis_search import (
 )
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.passive_set import boundary
-from hapticd.signal.search import (
+from hapticd.zwidth.acquisition import (
     Search,
     first_trials,
     least_headroom,
     next_trials,
 )
-from hapticd.signal.surrogate import Observation, fit, log_chance, margin, resistance
+from hapticd.zwidth.passive_set import boundary
+from hapticd.zwidth.surrogate import Observation, fit, log_chance, margin, resistance
 
 
 def test_passive_set_fills_a_fifth_of_the_box():

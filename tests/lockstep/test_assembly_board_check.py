@@ -10,17 +10,18 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.core.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams, UsbParams
+from hapticd.core.params import HomeParams, RealtimeParams, ScaleParams, UsbParams
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
-from hapticd.servo.connection import differences
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
 from hapticd.usb import codec
 from hapticd.usb.device import SEED
+from hapticd.usb.search import differences
 
 
 def report(stack):

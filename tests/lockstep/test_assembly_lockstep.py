@@ -13,10 +13,11 @@ from support.models import COUNT_M, COUNT_NS_PER_M, device_params, servo_params
 
 from hapticd.core.errors import LinkLost, MailboxError
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import HomeParams, InjectionParams
+from hapticd.core.params import HomeParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.loop import ServoLoop

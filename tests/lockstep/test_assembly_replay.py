@@ -12,9 +12,10 @@ from support.flight import Flight
 from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 
-from hapticd.core.params import HomeParams, InjectionParams
+from hapticd.core.params import HomeParams
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.run import replay
+from hapticd.model.params import InjectionParams
+from hapticd.recording import replay
 from hapticd.servo.plan import SETTLED, ServoState, flatten, unflatten
 
 ROUGH = tuple(

@@ -10,8 +10,8 @@ from support.models import servo_params
 
 from benchmarks.attack import KINDS, RARE, TRAITS
 from benchmarks.attack_watch import DTYPE, Given, Watch
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value, values_of
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.run.lockstep import LockStep
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 

@@ -9,8 +9,9 @@ from support.flight import HEALTHY, Flight
 from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import HandParams, HomeParams, InjectionParams, ScaleParams, TouchParams
+from hapticd.core.params import HomeParams, ScaleParams
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import HandParams, InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import AMPLIFIER_TOLD

@@ -19,11 +19,9 @@ from support.delivered import (
     parts,
 )
 
-from hapticd.core.params import (
-    InjectionParams,
-    ServoParams,
-)
-from hapticd.protocol.view import Records
+from hapticd.core.arrays import Records
+from hapticd.core.params import ServoParams
+from hapticd.model.params import InjectionParams
 
 
 def test_without_damping_nothing_is_delivered():

@@ -12,13 +12,13 @@ from support.boards import board_params
 from support.recorded import RecordedFlight
 
 from hapticd.core.errors import CommandError, ConfigError
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
+from hapticd.model.params import InjectionParams
 from hapticd.protocol import flight
 from hapticd.protocol.flight import FILES_KEPT, Flight, flights_folder
+from hapticd.recording import replay
 from hapticd.recording.file import open_recording
-from hapticd.run import replay
 
 
 @pytest.fixture

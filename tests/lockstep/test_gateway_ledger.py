@@ -5,11 +5,11 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Value
-from hapticd.protocol.view import NAMES, Ledger, as_records, samples
+from hapticd.model.params import InjectionParams
+from hapticd.protocol.ledger import NAMES, Ledger, book, samples
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
-from hapticd.signal.ledger import book
 from hapticd.usb import codec
 from hapticd.usb.frames import StatusBit
 

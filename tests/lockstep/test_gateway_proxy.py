@@ -15,9 +15,10 @@ from support.proxies import RANGE_M, with_range
 from benchmarks.guard_attack import shipped_judge
 from benchmarks.guarded_stack import CLIENT, GuardedStack
 from hapticd.core.errors import CommandError
-from hapticd.core.params import BoardParams, InjectionParams, LeaseParams, SafetyParams
+from hapticd.core.params import LeaseParams, SafetyParams
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.layout import Flag, State
+from hapticd.model.params import BoardParams, InjectionParams
 from hapticd.protocol.answers import Coupling
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.run.lockstep import LockStep

@@ -17,13 +17,13 @@ from support.gateway_rig import START_NS, UNIX_NS, CommandServerRig
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
 from hapticd.mailbox import layout
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import STAGES, Flag
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.telemetry import (
     COLUMNS,
     ENERGIES,

@@ -18,8 +18,9 @@ from hapticd.core.errors import (
     LinkTimeout,
     MissingLibrary,
 )
-from hapticd.core.params import InjectionParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.core.units import VirtualClock
+from hapticd.model.params import InjectionParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.bus import usb_error

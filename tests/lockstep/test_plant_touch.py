@@ -12,10 +12,10 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import Ends, HandParams, TouchParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
 from hapticd.model.composed import POSITION, VELOCITY
+from hapticd.model.params import Ends, HandParams, TouchParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.run.lockstep import LockStep, scene_params
 

@@ -12,7 +12,8 @@ from support.models import environment_tuple
 
 from hapticd.core.environment import Environment
 from hapticd.render.law import at_rest, design_coefficients, render
-from hapticd.render.parts import (
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import (
     CONTROLLERS,
     ESTIMATORS,
     PERIODS,
@@ -24,7 +25,6 @@ from hapticd.render.parts import (
     observer_part,
     tank_part,
 )
-from hapticd.zwidth.engine.batch import simulate
 
 RATE_HZ = 1000.0
 COUNT_M = 1e-6

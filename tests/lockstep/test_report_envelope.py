@@ -7,7 +7,6 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies
 from hapticd.zwidth.report.envelope import envelope_figure, weightiest
 from hapticd.zwidth.report.style import PARTS
-from hapticd.zwidth.sources import noise
 
 pytest.importorskip("matplotlib")
 
@@ -41,7 +40,7 @@ def test_envelope_as_admittance_exchanges_its_edges():
         )
     ]
     z, y = (
-        envelope_figure(Conditions(scene, 90.0, noise(scene)), found, inverse=inverse)
+        envelope_figure(Conditions(scene, 90.0, scene.noise), found, inverse=inverse)
         for inverse in (False, True)
     )
     assert [axis.get_ylabel() for axis in y.axes] == [

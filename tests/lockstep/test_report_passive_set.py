@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hapticd.settings.scene import load_scene
-from hapticd.signal.passive_set import PassiveSet
 from hapticd.zwidth.map import LevelMap, MapResult
+from hapticd.zwidth.passive_set import PassiveSet
 from hapticd.zwidth.report.passive_set import (
     area,
     draw_predicted,

@@ -16,17 +16,14 @@ from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.model.scene import Excitation
 from hapticd.studies.accuracy import AccuracyResult, AccuracyRow, plan_accuracy
 from hapticd.studies.effects import EffectsParams, EffectsResult, LeftOut, plan_effects
-from hapticd.studies.report import (
+from hapticd.studies.report import impedance_rows, integrators_figure, scene_figure, scene_table
+from hapticd.studies.report_methods import (
     accuracy_figure,
     accuracy_table,
     accuracy_words,
     effects_figure,
     effects_table,
     effects_words,
-    impedance_rows,
-    integrators_figure,
-    scene_figure,
-    scene_table,
 )
 from hapticd.studies.scene import SceneResult, compare_integrators, plan_scene, run_scene
 from hapticd.zwidth.report import style

@@ -10,7 +10,8 @@ from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from support.tree import ROOT
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.core.params import ScaleParams, TouchParams, to_plain
+from hapticd.core.params import ScaleParams, to_plain
+from hapticd.model.params import TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.rig.certificate import write_changes
 from hapticd.rig.experiment import push

@@ -7,9 +7,10 @@ from support.models import COUNT_M, device_params, servo_params
 from support.winding_table import TABLE
 
 from benchmarks.thermal import device as heated_device
-from hapticd.core.params import HandParams, SafetyParams, ScaleParams, TouchParams
+from hapticd.core.params import SafetyParams, ScaleParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.compensation import UNKNOWN_S

@@ -28,8 +28,8 @@ from support.servo_energy_controller import (
 
 from hapticd.core.params import ENERGY_LIMIT_J, SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.recording import replay
 from hapticd.render.law import EXCESS, Ramp, ledger_at_rest
-from hapticd.run import replay
 from hapticd.servo.energy import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
 from hapticd.servo.safety import State

@@ -5,7 +5,8 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import InjectionParams, UsbParams
+from hapticd.core.params import UsbParams
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import LINK_UP

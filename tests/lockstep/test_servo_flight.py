@@ -8,8 +8,9 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import BusParams, InjectionParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.model.params import BusParams, InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

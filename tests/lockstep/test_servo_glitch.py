@@ -13,10 +13,10 @@ from support.recorded import RecordedFlight
 from support.servo_glitch import FELT, LIMIT, params_with
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State

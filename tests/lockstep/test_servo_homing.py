@@ -12,8 +12,8 @@ from support.homing_rig import HOME, Rig
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.core.faults import BY_CODE, BY_NUMBER
-from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import HandParams, InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import flatten, unflatten

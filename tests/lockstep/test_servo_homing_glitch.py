@@ -5,8 +5,8 @@ from support.homing_rig import HOME
 from support.models import device_params, servo_params
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result
+from hapticd.model.params import InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 

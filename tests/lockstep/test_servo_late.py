@@ -9,9 +9,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import UsbParams
 from hapticd.mailbox.layout import STAGES, Command, LateCause, Value
-from hapticd.protocol.view import Records, as_records
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.sim.bus import BAND, Bus, TransferTime
 

@@ -11,10 +11,10 @@ from support.boards import board_params
 from support.models import device_params, servo_params
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import DEVICE_DIFFERS

@@ -11,7 +11,7 @@ from support.models import COUNT_M, device_params, servo_params
 from hapticd.core.faults import BY_NUMBER
 from hapticd.mailbox.layout import Command, State, Value, Watched
 from hapticd.protocol.view import as_records
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 
 T = 1e-3

@@ -6,8 +6,9 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import InjectionParams, RealtimeParams
+from hapticd.core.params import RealtimeParams
 from hapticd.mailbox.layout import Command, Result, Value, values_of
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

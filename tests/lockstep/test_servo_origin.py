@@ -8,8 +8,8 @@ from support.boards import board_params
 from support.homing_rig import HOME, Rig
 from support.models import servo_params
 
-from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import HandParams, InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State

@@ -15,13 +15,13 @@ from support.recorded import RecordedFlight
 
 from hapticd.core.params import SafetyParams, ServoParams
 from hapticd.mailbox.layout import Command, Flag, State, Value
-from hapticd.protocol.view import as_records, samples
-from hapticd.run import replay
+from hapticd.protocol.ledger import book, samples
+from hapticd.protocol.view import as_records
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.energy import spring_energy
 from hapticd.servo.plan import flatten, unflatten
 from hapticd.servo.samples import believed_bend_m
-from hapticd.signal.ledger import book
 
 SAFETY = SafetyParams()
 TIMEOUT = round(SAFETY.proxy_timeout_s * RATE_HZ)

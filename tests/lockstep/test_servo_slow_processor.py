@@ -9,11 +9,12 @@ from support.boards import board_params
 from support.models import servo_params
 from support.processor import TICK_US, Processor
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.gateway.tick_times import room_of
 from hapticd.mailbox.layout import STAGES, Command, LateCause
 from hapticd.protocol.answers import Room
-from hapticd.protocol.view import Records, as_records
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 
 RATES_HZ = (1000.0, 2000.0, 4000.0, 8000.0)

@@ -12,11 +12,12 @@ from support.recorded import RecordedFlight
 from usb.core import USBTimeoutError
 
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
-from hapticd.run import replay
+from hapticd.recording import replay
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 

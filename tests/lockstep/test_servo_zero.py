@@ -6,8 +6,8 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result
+from hapticd.model.params import HandParams, InjectionParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 from support.guard_device import change, setup_of, shipped_setup
 
-from hapticd.core.params import GuardSetup, MeasuredParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.guard.judge import Judge
+from hapticd.model.params import GuardSetup, MeasuredParams
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
 from hapticd.settings.scene import measured_params

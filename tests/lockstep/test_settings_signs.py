@@ -6,8 +6,8 @@ import numpy as np
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import device_params

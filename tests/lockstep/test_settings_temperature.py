@@ -10,8 +10,8 @@ from support.models import servo_params
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Result
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import device_params

@@ -7,7 +7,7 @@ import pytest
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.core.errors import ConfigError, FrameError
-from hapticd.core.params import InjectionParams
+from hapticd.model.params import InjectionParams
 from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS, Injector, TransferFault, with_injections
 from hapticd.usb import codec

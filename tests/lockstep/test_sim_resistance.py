@@ -7,9 +7,9 @@ from support.boards import ENABLE, TICK_NS, exchange, out_packet
 from support.boards import board_params as rigid_board
 from support.plant_devices import N_PER_A, alpha, weir_device
 
-from hapticd.core.params import BoardParams
 from hapticd.model.compose import board_fields
 from hapticd.model.effects import Coulomb, WindingHeating, WindingTemperature
+from hapticd.model.params import BoardParams
 from hapticd.sim.axis import Axis
 from hapticd.sim.board import BoardModel, hello
 from hapticd.usb.frames import Capability

@@ -10,17 +10,17 @@ import pytest
 
 from hapticd.model.effects import Coulomb, Encoder
 from hapticd.model.scene import DampingStep
-from hapticd.render.parts import (
+from hapticd.settings.scene import load_scene
+from hapticd.studies import remedies
+from hapticd.studies.felt import felt, noise_at_rest, played
+from hapticd.zwidth.engine.batch import simulate
+from hapticd.zwidth.engine.parts import (
     foaw_part,
     held_observer_part,
     levant_part,
     observer_part,
     tank_part,
 )
-from hapticd.settings.scene import load_scene
-from hapticd.studies import remedies
-from hapticd.studies.felt import felt, noise_at_rest, played
-from hapticd.zwidth.engine.batch import simulate
 
 ASKED = (300.0, 0.4)
 COUNT_M = 1e-6

@@ -27,7 +27,6 @@ from hapticd.studies.port_energy import (
 )
 from hapticd.studies.remedies import REMEDIES, RemediesParams, run_remedies
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.sources import level
 from hapticd.zwidth.store import TrialStore, to_json
 
 PUSH_N = np.repeat([1.0, 0.0], 1000)
@@ -187,7 +186,7 @@ def asked(monkeypatch):
     asked = []
 
     def judged(name, scene, first, quick):
-        asked.append((name, level(scene)))
+        asked.append((name, scene.level_ns_per_m))
         if len(asked) == 4:
             raise KeyboardInterrupt
         numbers = (nan, 0.5, 100.0, 200.0, False, 0.0)

@@ -23,7 +23,6 @@ from hapticd.studies.effects import (
     relative,
     run_effects,
 )
-from hapticd.studies.reference import without
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
@@ -120,7 +119,7 @@ def test_scene_without_dissipation_has_no_peak() -> None:
         AnalysisError,
         match="'small': not passive even without an environment, so no mass owns a peak",
     ):
-        plan_effects(EffectsParams(without(scene(), "viscous"), "peak"))
+        plan_effects(EffectsParams(scene().without("viscous"), "peak"))
 
 
 def test_linear_effects_are_predicted_and_others_simulated() -> None:

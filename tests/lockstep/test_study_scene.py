@@ -13,7 +13,6 @@ from hapticd.core.errors import ConfigError
 from hapticd.model.effects import Crowbar
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.studies.reference import without
 from hapticd.studies.scene import ceiling, compare_integrators, plan_scene, run_scene
 
 
@@ -125,7 +124,7 @@ def test_stiff_electronics_blow_explicit_methods_up() -> None:
 
 
 def test_device_that_only_drifts_is_stable_with_any_method() -> None:
-    found = compare_integrators(without(scene(), "viscous"))
+    found = compare_integrators(scene().without("viscous"))
     assert set(found.longest_s.values()) == {inf}
     assert found.fastest_s == inf
     assert found.error["euler"].max() < 1e-9

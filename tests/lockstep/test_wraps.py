@@ -16,8 +16,8 @@ from support.boards import board_params
 from support.gateway_rig import CommandServerRig
 from support.models import servo_params
 
-from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value
+from hapticd.model.params import BoardParams, InjectionParams
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 

@@ -17,7 +17,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import MARK_LEAD
 from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.zwidth.aligned import read_aligned
-from hapticd.zwidth.live import daemon_source, signals
+from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import MARK_SAMPLE
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, write
@@ -41,7 +41,7 @@ class Heard(LockStepClient):
         decoder = BlockDecoder()
         for message in super().messages(topics, look_s):
             if message is not None and message[0] == "probe":
-                self.heard.append(signals(decoder.decode(message[1])))
+                self.heard.append(decoder.decode(message[1]).signals())
             yield message
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hapticd.core.errors import AnalysisError
-from hapticd.studies.reference import MOST_S, run_lockstep
+from hapticd.run.lockstep import MOST_S, run_lockstep
 
 
 def test_trial_plays_the_forces_it_was_given() -> None:

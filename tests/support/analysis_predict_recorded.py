@@ -6,8 +6,9 @@ import pytest
 
 from examples.weir2008.paper import LEVELS
 from examples.weir2008.run import conditions
+from hapticd.core.units import DEFAULT_BAND_HZ
 from hapticd.model.linearise import Perturbation
-from hapticd.model.predict import DEFAULT_BAND_HZ, predict
+from hapticd.model.predict import predict
 
 WHITE = Perturbation()
 RIVAL = "weir2008_probe_hp"

@@ -5,8 +5,8 @@ noise and a prior.
 import numpy as np
 from scipy import signal
 
-from hapticd.signal.search import doubtful_share, first_trials, next_trials, predicted_passive
-from hapticd.signal.surrogate import Box, Observation
+from hapticd.zwidth.acquisition import doubtful_share, first_trials, next_trials, predicted_passive
+from hapticd.zwidth.surrogate import Box, Observation
 
 T = 1e-3
 MASS = 0.008

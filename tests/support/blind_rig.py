@@ -27,8 +27,8 @@ from unittest.mock import patch
 import tomlkit
 
 from hapticd.core.errors import HapticdError
-from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
+from hapticd.model.params import BoardParams
 from hapticd.rig import certificate
 from hapticd.rig.certificate import keep
 from hapticd.rig.result import Finding, StepResult, Value

@@ -10,7 +10,6 @@ from math import pi
 from random import Random
 from typing import Any
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ, Clock
 from hapticd.model.compose import board_fields, compose_device
 from hapticd.model.effects import (
@@ -28,6 +27,7 @@ from hapticd.model.effects import (
     WindingTemperature,
     WorkspaceEnds,
 )
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.sim.axis import Axis, Probe, i16_count
 from hapticd.sim.backend import make_backend

@@ -4,7 +4,7 @@ from dataclasses import replace
 from math import inf
 from typing import Any
 
-from hapticd.core.params import BoardParams
+from hapticd.model.params import BoardParams
 from hapticd.usb import codec
 from hapticd.usb.frames import InFrame, OutFlag, OutFrame
 

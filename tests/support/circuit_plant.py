@@ -14,8 +14,8 @@ import support.firmware_board as firmware_board
 from firmware_iface.hardware.netlist import deck
 from firmware_iface.hardware.shared import Transient
 from firmware_iface.hardware.studies import FULL_NS_PER_M, K_F, V_PER_V
-from hapticd.core.params import BoardParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Value
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.run.lockstep import LockStep, scene_params
 

@@ -3,7 +3,8 @@
 from contextlib import contextmanager
 
 from hapticd.cli.rig import steps
-from hapticd.core.params import ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams
+from hapticd.model.params import TouchParams
 from support.rig_hand import Hand
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.03, 0.03)}

@@ -9,16 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.core.params import (
-    BoardParams,
-    HandParams,
-    InjectionParams,
-    ServoParams,
-    TouchParams,
-)
+from hapticd.core.arrays import Records
+from hapticd.core.params import ServoParams
 from hapticd.guard.delivered import Delivered, Estimate, Shortfall
 from hapticd.mailbox.layout import Command, Value
-from hapticd.protocol.view import Records, as_records
+from hapticd.model.params import BoardParams, HandParams, InjectionParams, TouchParams
+from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep, scene_params
 from support.tree import ROOT
 

@@ -5,8 +5,8 @@ from functools import reduce
 from typing import NamedTuple
 
 from hapticd.signal.impedance import Impedance
-from hapticd.signal.passive_set import Envelope
 from hapticd.signal.verdict import Verdict
+from hapticd.zwidth.passive_set import Envelope
 
 
 class EnvelopeTrial(NamedTuple):

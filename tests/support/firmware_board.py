@@ -20,8 +20,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.sim.axis import EMERGENCY_STOP, READY, Amplifier, i16_count
 from hapticd.sim.board import ADVANCE_MAX_NS, VENDOR_OUT, compensates, control_replies, hello

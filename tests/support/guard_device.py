@@ -6,14 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.environment import Environment
-from hapticd.core.params import (
-    EnvironmentLimits,
-    GuardParams,
-    GuardSetup,
-    ModelParams,
-    OutputParams,
-    from_plain,
-)
+from hapticd.core.params import EnvironmentLimits, GuardParams, from_plain
 from hapticd.guard.judge import Judge
 from hapticd.mailbox import files
 from hapticd.model.effects import (
@@ -26,6 +19,7 @@ from hapticd.model.effects import (
     Viscous,
     WindingTemperature,
 )
+from hapticd.model.params import GuardSetup, ModelParams, OutputParams
 from hapticd.run import supervisor
 from hapticd.settings.load import load
 from hapticd.settings.scene import model_params

@@ -7,13 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hapticd.core.params import GuardParams, GuardSetup, InjectionParams, from_plain
+from hapticd.core.arrays import Records
+from hapticd.core.params import GuardParams, from_plain
 from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
+from hapticd.model.params import GuardSetup, InjectionParams
 from hapticd.protocol.journal import Journal
-from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.protocol.view import ServoView, as_records
 from hapticd.run.lockstep import LockStep
 from hapticd.run.supervisor import resolve
 from hapticd.settings.build import board_params, servo_params

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.signal.ledger import SAMPLE
+from hapticd.protocol.ledger import SAMPLE
 
 Floats = npt.NDArray[np.float64]
 T = 1e-3

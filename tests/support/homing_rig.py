@@ -8,8 +8,9 @@ from math import floor, inf
 from random import Random
 from typing import Any, NamedTuple
 
-from hapticd.core.params import DeviceParams, HandParams, HomeParams, TouchParams
+from hapticd.core.params import DeviceParams, HomeParams
 from hapticd.mailbox.layout import Command
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State

@@ -14,8 +14,8 @@ us), on every second one at 1 kHz.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.sim.board import BoardModel, compensates
 from hapticd.usb import codec, frames

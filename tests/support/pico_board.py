@@ -13,8 +13,8 @@ import weakref
 from collections.abc import Callable
 from math import ceil
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import ADVANCE_MAX_NS
 from hapticd.usb import codec
 from hapticd.usb.frames import CRC, PACKET_BYTES, OutFrame, StatusBit

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_iface.pico.build import COMPILER, SOURCES, build
-from hapticd.core.params import BoardParams
+from hapticd.model.params import BoardParams
 from support.boards import board_params
 from support.pico_chip import UNIQUE_ID, PicoChip, Wiring
 from support.pico_modules import needed

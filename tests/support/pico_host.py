@@ -4,8 +4,9 @@ from array import array
 from types import TracebackType
 from typing import Any, Self
 
-from hapticd.core.params import BoardParams, UsbParams
+from hapticd.core.params import UsbParams
 from hapticd.core.units import NS_PER_MS, VirtualClock
+from hapticd.model.params import BoardParams
 from hapticd.usb import codec
 from hapticd.usb.frames import PACKET_BYTES, InFrame, OutFlag, OutFrame
 from hapticd.usb.link import UsbLink

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from math import floor
 from typing import Any
 
-from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.model.params import BoardParams
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from support.pico_chip import PicoChip, Result, Verb
 

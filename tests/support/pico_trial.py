@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from hapticd.core.arrays import Floats
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.core.units import PROBE_RATE_HZ, Clock
+from hapticd.model.params import BoardParams
 from hapticd.run import lockstep
 from hapticd.run.lockstep import LockStepClient, scene_params
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST

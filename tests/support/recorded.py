@@ -9,22 +9,18 @@ from typing import Any, Self
 
 import numpy as np
 
-from hapticd.core.params import (
-    BoardParams,
-    GatewayParams,
-    GatewaySetup,
-    GuardParams,
-    ServoParams,
-)
+from hapticd.core.arrays import Records
+from hapticd.core.params import GatewayParams, GatewaySetup, GuardParams, ServoParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
 from hapticd.gateway.publisher import Publisher
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import BoardParams
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.journal import Actors, Journal
-from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.protocol.view import ServoView, as_records
+from hapticd.recording import replay
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.run import replay
 from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.guard_stub import StubWorker

@@ -2,7 +2,7 @@
 damping differs from its device file.
 """
 
-from hapticd.core.params import TouchParams
+from hapticd.model.params import TouchParams
 from hapticd.rig.steps.coast_down import Row
 from support.models import COUNT_N, COUNT_NS_PER_M
 

@@ -1,6 +1,6 @@
 """`rig identify` on simulated boards whose mass, friction and delay are hidden from the step."""
 
-from hapticd.core.params import TouchParams
+from hapticd.model.params import TouchParams
 from hapticd.run.lockstep import LockStepClient
 from support.boards import board_params
 from support.models import device_params, servo_params

@@ -1,6 +1,6 @@
 """`rig motor` on a board whose true sign, gain and offset differ from its device file."""
 
-from hapticd.core.params import TouchParams
+from hapticd.model.params import TouchParams
 from hapticd.rig.steps.motor import (
     Masses,
 )

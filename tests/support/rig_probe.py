@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hapticd.core.params import TouchParams
+from hapticd.model.params import TouchParams
 from hapticd.rig.excitation import LINES_HZ, Recording, sines
 from hapticd.rig.steps.probe import (
     AttachedMass,

@@ -1,7 +1,8 @@
 """`rig verify`: known parts measured by the probe, and the certificate."""
 
 from hapticd.cli.app import main
-from hapticd.core.params import ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams
+from hapticd.model.params import TouchParams
 from hapticd.rig.steps.verify import KnownParts
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.02, 0.02)}

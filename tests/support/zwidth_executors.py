@@ -14,11 +14,10 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth import executors
 from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, run_trials
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore, to_json
 
 SCENE = load_scene("fig7")  # with friction, which affects the last bit
-SHORT = Conditions(SCENE, 20.0, noise(SCENE))
+SHORT = Conditions(SCENE, 20.0, SCENE.noise)
 AXES = (np.linspace(0.0, 600.0, 5), np.linspace(0.0, 6.0, 4), np.linspace(-0.01, 0.01, 4))
 
 

@@ -5,11 +5,10 @@ from typing import Any
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits
 from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
-from hapticd.zwidth.sources import noise
 from hapticd.zwidth.store import TrialStore
 
 THEORY = load_scene("theory")
-PLAN = plan_limits(LimitsParams(Conditions(THEORY, 20.0, noise(THEORY)), levels=(0.0,)))
+PLAN = plan_limits(LimitsParams(Conditions(THEORY, 20.0, THEORY.noise), levels=(0.0,)))
 Key = tuple[float, float, float]
 
 

@@ -6,7 +6,6 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.outcomes import (
     Conditions,
 )
-from hapticd.zwidth.sources import noise
 
 THEORY = load_scene(
     "theory"
@@ -14,4 +13,4 @@ THEORY = load_scene(
 
 
 def conditions(scene=THEORY, seconds=20.0):
-    return Conditions(scene, seconds, noise(scene))
+    return Conditions(scene, seconds, scene.noise)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.held_force import T, exact_work, in_effect, sampled
 
-from hapticd.signal.ledger import CAUSES, SAMPLE, book
+from hapticd.protocol.ledger import CAUSES, SAMPLE, book
 
 K = 1000.0
 AMPLITUDE_M = 1e-3

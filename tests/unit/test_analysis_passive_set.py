@@ -9,7 +9,7 @@ from support.analysis_devices import display
 from hapticd.core.errors import AnalysisError
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import predict
-from hapticd.signal.passive_set import PassiveSet, axis_limit, grid
+from hapticd.zwidth.passive_set import PassiveSet, axis_limit, grid
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 

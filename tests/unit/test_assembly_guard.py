@@ -12,12 +12,13 @@ from support.guard_device import (
     shipped_setup,
 )
 
-from hapticd.core.params import GuardSetup, from_plain, to_plain
+from hapticd.core.params import from_plain, to_plain
 from hapticd.guard.judge import Judge
 from hapticd.guard.worker import answered
 from hapticd.model.bases import model_of
 from hapticd.model.compose import compose
 from hapticd.model.loop import spectral_radius
+from hapticd.model.params import GuardSetup
 from hapticd.zwidth.sources import device_scene
 
 

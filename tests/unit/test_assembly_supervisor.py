@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
-from hapticd.core.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
+from hapticd.core.params import GatewaySetup, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, VirtualClock
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.model.params import BoardParams, GuardSetup
 from hapticd.run import supervisor
 from hapticd.run.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.settings.load import load

@@ -7,8 +7,7 @@ from support.gateway_stand_in import setup
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import EnvironmentLimits, ServoParams, from_plain, to_plain
-from hapticd.mailbox.client_side import WIDEST, environment_limits
-from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.limits import WIDEST, CommandLimits, environment_limits
 from hapticd.protocol.schemas import json_schema, parse
 
 WEIR = {"K": [0.0, 1958.8], "B": [-11.03, 32.54], "M": [-0.0814, 0.14153]}

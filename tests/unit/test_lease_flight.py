@@ -12,12 +12,13 @@ from support.boards import board_params
 from support.gateway_rig import UNIX_NS, decoded, packed
 from support.models import device_params, servo_params
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import GuardParams
 from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Flag, State, Watched
 from hapticd.protocol.journal import Journal
-from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.protocol.view import ServoView, as_records
 from hapticd.run.lockstep import LockStep
 
 HOLDER = b"holder"

@@ -15,13 +15,13 @@ from hapticd.client.sequence import StepReceipt
 from hapticd.core.errors import MailboxError
 from hapticd.core.faults import Fault
 from hapticd.core.params import ScaleParams
+from hapticd.core.process import Grant
 from hapticd.model.effects import Effect
 from hapticd.protocol.answers import Event, GuardVerdict, LeaseReleased
 from hapticd.protocol.journal import Entry
 from hapticd.recording.provenance import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.run.doctor.checks import CheckResult
-from hapticd.servo.host import Grant
 from hapticd.signal import findings
 from hapticd.zwidth.store import TrialEnd, TrialRecord
 

@@ -6,16 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.core.params import (
-    BoardParams,
-    GatewayParams,
-    HandParams,
-    ServoParams,
-    TouchParams,
-    from_plain,
-    to_plain,
-)
+from hapticd.core.params import GatewayParams, ServoParams, from_plain, to_plain
 from hapticd.mailbox import layout
+from hapticd.model.params import BoardParams, HandParams, TouchParams
 from hapticd.settings import build, scene
 from hapticd.settings.device import signs_hash
 from hapticd.settings.load import HIGHEST_CORNER, Settings, load

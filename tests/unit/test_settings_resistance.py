@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.core.errors import ConfigError
-from hapticd.mailbox.client_side import WIDEST
+from hapticd.protocol.limits import WIDEST
 from hapticd.render.winding import least_residual_ohm, loop_gain, ohm
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load

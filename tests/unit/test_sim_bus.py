@@ -5,7 +5,7 @@ from math import ceil
 
 import pytest
 
-from hapticd.core.params import BusParams
+from hapticd.model.params import BusParams
 from hapticd.sim.bus import BAND, FixedBus, FullSpeedBus
 
 US = 1000

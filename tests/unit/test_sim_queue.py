@@ -3,7 +3,7 @@
 import pytest
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.core.params import BoardParams
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import BoardModel, QueueingBoard, make_board
 from hapticd.usb import codec
 from hapticd.usb.frames import InFrame

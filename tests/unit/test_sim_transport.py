@@ -7,8 +7,8 @@ import pytest
 import usb.core
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.core.params import InjectionParams
 from hapticd.core.units import VirtualClock
+from hapticd.model.params import InjectionParams
 from hapticd.sim.backend import DistantBackend, SimulatedBackend, make_backend
 from hapticd.usb import codec
 

@@ -18,8 +18,8 @@ from support.usbip_client import DEVICE_BYTES, DEVICES, VENDOR_IN, Client, exact
 
 from hapticd.cli import sim
 from hapticd.cli.app import main
-from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
+from hapticd.model.params import BoardParams, InjectionParams
 from hapticd.sim import usb_device
 from hapticd.sim.board import BoardModel, make_board
 from hapticd.sim.injection import with_injections

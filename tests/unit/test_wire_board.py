@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from support import wire_header as header
 
-from hapticd.core.params import BoardParams
+from hapticd.model.params import BoardParams
 from hapticd.sim.board import BoardModel
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Request, StatusBit

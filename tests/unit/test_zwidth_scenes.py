@@ -8,14 +8,13 @@ import pytest
 
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped
-from hapticd.studies.reference import is_linear
 from hapticd.zwidth.sources import frequencies, scene_of_device
 
 
 def test_only_scenes_without_nonlinearity_are_linear() -> None:
-    assert is_linear(load_scene("theory"))
-    assert not is_linear(load_scene("fig7"))
-    assert not is_linear(replace(load_scene("theory"), environment=load_scene("wall").environment))
+    assert load_scene("theory").is_linear
+    assert not load_scene("fig7").is_linear
+    assert not replace(load_scene("theory"), environment=load_scene("wall").environment).is_linear
 
 
 def test_frequencies_lie_on_the_grid_of_the_papers_window() -> None:

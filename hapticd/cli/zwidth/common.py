@@ -22,7 +22,7 @@ import typer
 from hapticd.cli import change, terminal
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.units import US_PER_S
-from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.limits import CommandLimits, environment_limits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 with terminal.deferred_imports():
     from hapticd.client import client as clients
     from hapticd.guard import safe_region
-    from hapticd.mailbox import client_side
     from hapticd.model import scene as model_scene
     from hapticd.recording import provenance
     from hapticd.settings import device as device_files
@@ -227,7 +226,7 @@ def require_within(name: str, shown: "sources.Display", asked: dict[str, float])
     filters = shown.scene.environment.filters
     known = own.model is not None
     passive = safe_region.passive_ranges(shown.model, filters, ceiling) if known else {}
-    widest = client_side.environment_limits(passive)
+    widest = environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):
         raise typer.BadParameter("; ".join(one["msg"] for one in broken))
@@ -241,7 +240,7 @@ def conditions(
     confidence: float = 0.95,
 ) -> "outcomes.Conditions":
     """Return the conditions of many trials: the scene's noise with that seed."""
-    noise = replace(sources.noise(scene), seed=seed)
+    noise = replace(scene.noise, seed=seed)
     return outcomes.Conditions(scene, seconds, noise, band_hz, confidence)
 
 

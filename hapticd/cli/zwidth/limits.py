@@ -22,8 +22,7 @@ with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, linearise, predict
-    from hapticd.signal import passive_set
-    from hapticd.zwidth import executors, limits, outcomes, sources, store, walls
+    from hapticd.zwidth import executors, limits, outcomes, passive_set, sources, store, walls
     from hapticd.zwidth.engine import contact as engine_contact
     from hapticd.zwidth.report import paper
     from hapticd.zwidth.report import passive_set as figures

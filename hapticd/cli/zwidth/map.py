@@ -20,8 +20,7 @@ with terminal.deferred_imports():
     import numpy as np
 
     from hapticd.core import arrays
-    from hapticd.signal import compare
-    from hapticd.zwidth import executors, outcomes, search, store
+    from hapticd.zwidth import compare, executors, outcomes, search, store
     from hapticd.zwidth import map as maps
     from hapticd.zwidth.report import envelope, paper, style
     from hapticd.zwidth.report import passive_set as figures

@@ -184,9 +184,7 @@ def _own_trial(
     scene: "model_scene.Scene", seconds: float, folder: Path, width_mm: float | None
 ) -> list[Path]:
     """Draw a trial of the environment that the scene itself describes."""
-    asked = sources.Trial(
-        scene.environment.free, sources.level(scene), seconds, sources.noise(scene)
-    )
+    asked = sources.Trial(scene.environment.free, scene.level_ns_per_m, seconds, scene.noise)
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     return draw_trial(trials.run_trial(plan, simulated.engine_source(scene)), folder, width_mm)
 

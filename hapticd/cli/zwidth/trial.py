@@ -327,7 +327,7 @@ def _excitation(
     asked: TrialOptions, scene: "model_scene.Scene | None", layout: "trials.MultisineLayout | None"
 ) -> "model_scene.Excitation":
     """Return the scene's noise with the requested seed and density, or equivalent multisines."""
-    noise = sources.noise(scene) if scene else sources.Trial().excitation
+    noise = scene.noise if scene else sources.Trial().excitation
     noise = replace(noise, seed=asked.seed)
     if asked.psd is not None:
         noise = replace(noise, psd_n2_per_hz=asked.psd)

@@ -51,8 +51,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.client.blocks import Records
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import US_PER_S, percent
 from hapticd.render.winding import LEAST_LOOP_GAIN

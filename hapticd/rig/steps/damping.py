@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.core.arrays import Records
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.rig.experiment import (

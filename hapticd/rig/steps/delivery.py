@@ -3,9 +3,9 @@
 With a weak spring the commanded force follows the position, and the velocity leads it by a quarter
 of a cycle. So the parts proportional to either can be separated. There is no active force: a handle
 that is let go comes to rest. The signals are means over WINDOW periods, by Simpson's rule; that of
-the velocity is exact, as the encoder's difference (`signal.delivered`). At the few hertz of a hand,
-delays and lags of a millisecond rotate the phase of a force by a hundredth. Both steps need the
-force per ampere, which `rig motor --winding` measures.
+the velocity is exact, as the encoder's difference (`guard.delivered_estimate`). At the few hertz of
+a hand, delays and lags of a millisecond rotate the phase of a force by a hundredth. Both steps need
+the force per ampere, which `rig motor --winding` measures.
 
 `measure_delivery` compares delivered with commanded values. Damping is that of `guard.delivered`,
 which `hapticd status` shows continuously. It is the slope of the motor's force on the encoder's
@@ -39,16 +39,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.environment import Environment
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
+from hapticd.guard.delivered_estimate import CALIBRATION, LAG_S, SIMPSON, WINDOW, Estimate
 from hapticd.rig.experiment import begin_step, collect, rendering, require_force, undamped
 from hapticd.rig.result import Ask, Finding, Request, StepResult, Value, checked, least_squares
 from hapticd.rig.steps.coast_down import REFUSE, margin
-from hapticd.signal.delivered import CALIBRATION, LAG_S, SIMPSON, WINDOW, Estimate
 from hapticd.usb.frames import Capability
 
 __all__ = ["measure_delivery", "measure_residual"]

@@ -20,9 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import MOST_CORRECTION
 from hapticd.core.units import percent

@@ -35,9 +35,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.core.arrays import Floats
+from hapticd.core.arrays import Floats, Records
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag

@@ -24,13 +24,13 @@ from itertools import accumulate
 from typing import Any
 
 from hapticd.core.params import RealtimeParams
+from hapticd.core.process import ordinary_scheduling, request_rights
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import LateCause
 from hapticd.protocol.answers import Room, Status
 from hapticd.run.doctor.checks import CheckResult
 from hapticd.run.doctor.machine import Requirements
 from hapticd.run.doctor.probes import FAIL, OK, WARN
-from hapticd.servo import host
 from hapticd.servo.late import Wait, first_deadline, spinning_wait
 
 __all__ = ["judge", "judge_room", "judge_wake", "measure"]
@@ -167,13 +167,13 @@ def judge_wake(found: dict[str, Any], asked: Requirements) -> CheckResult:
 def main(arguments: list[str]) -> int:
     """Run the worker and return the exit code."""
     seconds, priority, *core = arguments
-    rights = host.prepare(
+    rights = request_rights(
         RealtimeParams(priority=int(priority), core=int(core[0]) if core else None)
     )
     wait = spinning_wait(0, PERIOD_NS)
     count = max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
     found = latencies_us(wait, time.monotonic_ns(), count)
-    host.relax()
+    ordinary_scheduling()
     plain = {name: one._asdict() for name, one in rights.items()}
     os.write(1, json.dumps({"rights": plain, "histogram_us": found}).encode())
     return 0

@@ -10,8 +10,8 @@ own tick law.
 
 Every step is exact for held inputs (matrix exponential), so a linear scene has no step error at
 all; friction, ends and cogging are solved once per sub-step. The law is compiled from `render`, not
-written again. An effect that the scene does not have costs nothing. Results do not depend on how
-trials are spread over lanes, tasks, threads or machines of one kind.
+written again; `parts` may be added to it. An effect that the scene does not have costs nothing.
+Results do not depend on how trials are spread over lanes, tasks, threads or machines of one kind.
 
 The fastmath of `source` must not reassociate and must preserve NaN. Arrays must begin on a cache
 line (otherwise half the speed), and the law must be compiled with an explicit fastmath=False

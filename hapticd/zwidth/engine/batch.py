@@ -31,9 +31,9 @@ from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
-from hapticd.model.model import Array, Model
+from hapticd.model.loop import Filters
+from hapticd.model.model import Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
-from hapticd.render.parts import LawPart
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import Spectra, grid_frequencies
 from hapticd.zwidth.engine.contact import AtContact, ContactDamping
@@ -48,7 +48,7 @@ from hapticd.zwidth.engine.job import (
     prepared,
     shared_torque,
 )
-from hapticd.zwidth.engine.kernels import Filters
+from hapticd.zwidth.engine.parts import LawPart
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
 
 __all__ = ["BatchResult", "simulate"]
@@ -223,7 +223,7 @@ def simulate(
                  "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one, with noise of the
                  probe by its position; otherwise by its K, B and M
-    parts        of the law, such as another estimator of the velocity (`render.parts`)
+    parts        of the law, such as another estimator of the velocity (`zwidth.engine.parts`)
     contact      active damping that follows the wall, in place of `active_damping`
     executor     any of concurrent.futures; None = threads here
     chunk        trials per task
@@ -339,7 +339,7 @@ def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep,
     )
 
 
-def _checked(params: npt.ArrayLike) -> Array:
+def _checked(params: npt.ArrayLike) -> Floats:
     trials = np.ascontiguousarray(params, dtype=np.float64)
     if trials.ndim != 2 or trials.shape[1] != 3 or not len(trials):
         raise ConfigError(
@@ -351,13 +351,13 @@ def _checked(params: npt.ArrayLike) -> Array:
     return trials
 
 
-def _number(trial: Array) -> int:
+def _number(trial: Floats) -> int:
     """Return the 32-bit number that seeds the random numbers of a trial with this K, B, M (3,)."""
     same_zero = trial + 0.0  # -0 N/m is 0 N/m
     return int.from_bytes(blake2b(same_zero.tobytes(), digest_size=4).digest(), "little")
 
 
-def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
+def run_chunk(job: Job, params: Floats, numbers: Sequence[int]) -> BatchResult:
     """Run trials of these K, B, M (n, 3), each with the number that seeds its own noise."""
     made = prepared(job)
     lanes = made.shape.lanes
@@ -369,7 +369,7 @@ def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
     )
 
 
-def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) -> BatchResult:
+def _run_group(job: Job, made: Prepared, params: Floats, numbers: Sequence[int]) -> BatchResult:
     group = Group(job, made, params)
     inputs = Inputs(job, made, numbers)
     records = (spectral if job.keep == "spectra" else Records)(job, made, numbers)
@@ -399,7 +399,7 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
 
 def _result(
     job: Job,
-    params: Array,
+    params: Floats,
     group: Group,
     heating: Heating | None,
     records: Records | Sums,

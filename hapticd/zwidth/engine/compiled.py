@@ -27,7 +27,7 @@ from numba.extending import intrinsic
 
 from hapticd.core.arrays import CACHE_LINE
 from hapticd.render import law
-from hapticd.render.parts import CONTROLLERS, ESTIMATORS
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS
 
 HELPERS = (law.wall_force, law.end_force, law.clamp)
 

@@ -25,15 +25,18 @@ from types import ModuleType
 import numpy as np
 
 from hapticd import __version__
+from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.discrete import discretise, drive_response_s
 from hapticd.model.friction import reach
-from hapticd.model.model import Array, DriveLimits, Map, Model
-from hapticd.render import law, parts
+from hapticd.model.loop import Filters
+from hapticd.model.model import DriveLimits, Map, Model
+from hapticd.render import law
 from hapticd.render.law import Biquad, design, scaled
+from hapticd.zwidth.engine import parts
 from hapticd.zwidth.engine.shape import Shape, sample_point
 from hapticd.zwidth.engine.source import (
     ENDS,
@@ -92,8 +95,6 @@ def _write(path: Path, text: str) -> None:
 
 
 # --- coefficients ---------------------------------------------------------------------------------
-# of velocity and acceleration; None: none
-Filters = tuple[FilterParams | None, FilterParams | None]
 NUMBERS = 256  # cached sets of coefficients: levels on the way to a wall, for several trials
 UNFILTERED: Biquad = (1.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -168,7 +169,7 @@ def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
         yield from _named("W1", inverse[1]).items()
 
 
-def _own_responses(model: Model, whole: Map) -> Array:
+def _own_responses(model: Model, whole: Map) -> Floats:
     """Return the m/s (contacts,) that a newton on each contact gives its own body over `whole`."""
     return np.array([whole.b[contact.velocity, contact.column] for contact in model.contacts])
 
@@ -241,5 +242,5 @@ def _drive_rows(limits: DriveLimits, column: int | None, whole: Map) -> dict[str
     }
 
 
-def _named(letter: str, row: Array) -> dict[str, float]:
+def _named(letter: str, row: Floats) -> dict[str, float]:
     return {f"{letter}{index}": float(value) for index, value in enumerate(row)}

@@ -34,10 +34,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.model.model import Array, Model, Output, Outputs
+from hapticd.model.model import Model, Output, Outputs
 
 __all__ = ["LANES"]
 
@@ -164,7 +165,7 @@ CANCELLED = 1e-12  # relative size of a sum of coefficients that is zero but for
 
 
 @lru_cache(maxsize=REDUCED)
-def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
+def reduced(model: Model, damped: bool) -> tuple[Model, Floats]:
     """`model` in relative positions without the states that do not matter here, and the matrix from
     its states to these.
 
@@ -172,7 +173,7 @@ def reduced(model: Model, damped: bool) -> tuple[Model, Array]:
     """
     forward, back, reference = _to_relative(model)
 
-    def rates(a: Array) -> Array:
+    def rates(a: Floats) -> Floats:
         moved = forward @ a @ back
         moved[:, reference] = 0.0  # what rounding left of coefficients that cancel
         return moved
@@ -239,7 +240,7 @@ def _needed(model: Model, damped: bool) -> Mask:
     return np.asarray(asked @ reach)
 
 
-def _to_relative(model: Model) -> tuple[Array, Array, list[int]]:
+def _to_relative(model: Model) -> tuple[Floats, Floats, list[int]]:
     """Matrices to relative positions and back, and the reference; identities where something is
     fixed to ground.
     """
@@ -415,7 +416,7 @@ def _column(inputs: Mask, column: int | None) -> tuple[bool, ...]:
 
 
 def _terms(
-    row: Array, states: Mask | None = None, keeps: tuple[bool, ...] = ()
+    row: Floats, states: Mask | None = None, keeps: tuple[bool, ...] = ()
 ) -> tuple[Term, ...]:
     """Terms of `row`, or of `row` after some time inside a sub-step."""
     if states is None:

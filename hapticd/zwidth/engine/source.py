@@ -61,7 +61,7 @@ import numpy as np
 
 from hapticd.core.environment import FURTHER
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.render.parts import CONTROLLERS, ESTIMATORS
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS
 from hapticd.zwidth.engine.shape import DriveStates, PartShape, Shape, Term
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}

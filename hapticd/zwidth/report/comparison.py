@@ -10,9 +10,9 @@ from textwrap import fill
 import numpy as np
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.compare import widths_db
-from hapticd.signal.passive_set import AXES, Envelope
 from hapticd.signal.verdict import Judged
+from hapticd.zwidth.compare import widths_db
+from hapticd.zwidth.passive_set import AXES, Envelope
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 from hapticd.zwidth.report.envelope import edges
 from hapticd.zwidth.report.paper import Cell, Table, legends, table

@@ -19,8 +19,8 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.model.predict import frequencies
-from hapticd.signal.passive_set import Edge, Envelope
 from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
+from hapticd.zwidth.passive_set import Edge, Envelope
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
     NORMAL,

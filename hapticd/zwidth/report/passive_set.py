@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
-from hapticd.signal.passive_set import PassiveSet
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import AxisLimit, LimitsResult
 from hapticd.zwidth.map import LevelMap, MapResult
 from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.passive_set import PassiveSet
 from hapticd.zwidth.report.paper import legends, spread
 from hapticd.zwidth.report.style import (
     ANSWERS,

@@ -7,10 +7,10 @@ from pathlib import Path
 from support.pico_image import SERIAL, hello
 from support.tree import ROOT
 
-from hapticd.servo.connection import differences
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
 from hapticd.usb.frames import Capability
+from hapticd.usb.search import differences
 
 TEMPLATE = ROOT / "config" / "devices" / "example-board.toml"
 

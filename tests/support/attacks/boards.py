@@ -9,8 +9,8 @@ force and keep the damping for as long as docs/safety.md promises.
 from random import Random
 
 from benchmarks.attack import fly
-from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.model.params import HandParams, TouchParams
 from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.run.lockstep import LockStep
 from hapticd.sim.axis import DAMPING_HOLD_S, DAMPING_RELEASE_S

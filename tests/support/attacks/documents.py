@@ -18,7 +18,8 @@ from pathlib import Path
 from random import Random
 
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import InjectionParams, to_plain
+from hapticd.core.params import to_plain
+from hapticd.model.params import InjectionParams
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer

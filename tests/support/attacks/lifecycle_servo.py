@@ -4,8 +4,8 @@ another gateway. `lifecycle` describes the attacks.
 
 from random import Random
 
-from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
+from hapticd.model.params import InjectionParams
 from support.attacks.stand import (
     LONG,
     NOTHING,

@@ -12,11 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
+from hapticd.core.params import GuardParams, SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox.client_side import GatewayMailbox
+from hapticd.model.params import InjectionParams
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
 from hapticd.run.lockstep import LockStep

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.arrays import Records
 from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox.client_side import Noted
@@ -41,9 +42,8 @@ from hapticd.servo.slow_path import refiltered
 from hapticd.servo.step import make_step
 from hapticd.usb import codec, frames
 
-__all__ = ["Difference", "Records", "Segment", "difference", "replay"]
+__all__ = ["Difference", "Segment", "difference", "replay"]
 
-Records = NDArray[np.void]
 
 # columns of a replay: the plan of each tick, then the results of step
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))

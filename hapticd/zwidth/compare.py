@@ -29,7 +29,7 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.passive_set import Edge, Envelope, PassiveSet
+from hapticd.zwidth.passive_set import Edge, Envelope, PassiveSet
 
 __all__ = [
     "EnvelopeConditions",

@@ -25,8 +25,6 @@ from hapticd.core.arrays import Flags, Floats, Integers
 __all__ = ["Gap", "fitting", "interpolated"]
 
 FLAT = 1e-6  # of the mean variance: below it the stretch has no signal
-ROUNDS = 12  # of a fit with weights
-BISQUARE = 4.685
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once
 NEWTON = 5  # rounds
@@ -70,23 +68,6 @@ def fraction(own: Floats, other: Floats) -> float:
             break
         late = float(np.clip(late + (omega * turned.imag).sum() / bent, -1.0, 1.0))
     return late
-
-
-def bisquare_fit(
-    columns: Floats, values: Floats, least_scale: float
-) -> tuple[Floats, Floats, Floats, float]:
-    """Least squares of `values` (n,) on `columns` (n, c) with bisquare weights (Beaton and Tukey
-    1974). Return coefficients (c,), residuals and weights (n,), and their scale, which is at least
-    `least_scale`.
-    """
-    trust = np.ones(values.size)
-    for _ in range(ROUNDS):
-        root = np.sqrt(trust)
-        solution = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        residual = values - columns @ solution
-        scale = max(least_scale, 1.4826 * float(np.median(np.abs(residual))))
-        trust = np.maximum(0.0, 1.0 - (residual / (BISQUARE * scale)) ** 2) ** 2
-    return np.asarray(solution, np.float64), residual, trust, scale
 
 
 def interpolated(values: Floats, at: Floats) -> Floats:

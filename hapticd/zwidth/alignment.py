@@ -33,7 +33,8 @@ import numpy.typing as npt
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import mark_signs
-from hapticd.signal.matching import Gap, bisquare_fit, coefficients, find_gaps, fraction
+from hapticd.signal.channels import bisquare_fit
+from hapticd.zwidth.matching import Gap, coefficients, find_gaps, fraction
 
 __all__ = ["FASTEST", "LEAST", "NO_MARK", "Mark", "Track", "align", "find_marks"]
 

@@ -72,8 +72,8 @@ from hapticd.model.predict import (
     frequencies,
     with_equivalent_damping,
 )
-from hapticd.signal.passive_set import boundary, distance, grid, samples
-from hapticd.signal.surrogate import (
+from hapticd.zwidth.passive_set import boundary, distance, grid, samples
+from hapticd.zwidth.surrogate import (
     Box,
     Observation,
     Prior,
