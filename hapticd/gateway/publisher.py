@@ -217,10 +217,16 @@ class Transitions:
 
     def _end_of_law(self, at: np.void) -> EventCode:
         """Return why the law does not move the proxy in the record `at`."""
-        if at["state"] != State.ENABLED or at["lease_control"] != self._law:
-            return "proxy_lease" if at["state"] == State.ENABLED else "proxy_stopped"
         asked = max((one for one in self._view.proxied_slots if one <= at["slot"]), default=-1)
-        return "proxy_silent" if at["slot"] - asked > self._longest_slots else "proxy_energy"
+        return (
+            "proxy_stopped"
+            if at["state"] != State.ENABLED
+            else "proxy_lease"
+            if at["lease_control"] != self._law
+            else "proxy_silent"
+            if at["slot"] - asked > self._longest_slots
+            else "proxy_energy"
+        )
 
     def _note(self, record: np.void, before: int) -> None:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])

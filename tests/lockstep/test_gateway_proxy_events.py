@@ -11,11 +11,12 @@ from support.proxies import with_range
 
 from benchmarks.guard_attack import shipped_judge
 from benchmarks.guarded_stack import CLIENT, GuardedStack
-from hapticd.core.params import BoardParams, SafetyParams
+from hapticd.core.params import SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway import publisher
 from hapticd.gateway.publisher import Transitions, state_map
 from hapticd.mailbox.layout import Flag
+from hapticd.model.params import BoardParams
 from hapticd.protocol.answers import Event, Status, answer_of
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.telemetry import Feed, RingBlock
