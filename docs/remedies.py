@@ -186,7 +186,7 @@ def points(axis: Axes, found: dict[str, Rows], judged: str) -> None:
 @styled()
 def draw(rows: Rows, energies: Rows) -> None:
     """Draw the gains by the theorem, and by the energy in hands."""
-    figure, panels = axes(1, 2, WIDTH_IN, 5.4)
+    figure, panels = axes(1, 2, WIDTH_IN, 5.8)
     for axis, part, judged in zip(panels, (rows, energies), ("theorem", "draws"), strict=True):
         devices = dict.fromkeys(row["device"] for row in part)
         points(

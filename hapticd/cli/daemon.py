@@ -198,10 +198,12 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
         f"  delay     p99 of 256 ticks: {delay_words(found)}",
         f"  damping   {delivered_words(found.delivered_active_damping)}",
     ]
-    if late := late_words(found.late):
-        lines.append(f"  late      {late}")
-    if costs := timing_words(found.guard.timing if found.guard else None):
-        lines.append(f"  costs     {costs}")
+    often_empty = {
+        "proxy": proxy_words(found),
+        "late": late_words(found.late),
+        "costs": timing_words(found.guard.timing if found.guard else None),
+    }
+    lines += [f"  {name:9} {words}" for name, words in often_empty.items() if words]
     lines += _under("winding", compensation_lines(found.compensation))
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     if limits := found.commissioning:
@@ -220,6 +222,14 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
         f" {row.max_us:8.1f} us"
         for stage, row in found.stages.items()
     ]
+
+
+def proxy_words(found: Status) -> str:
+    """Return position of the proxy and its client; empty while no law moves one from 0."""
+    held = found.leases.get("environment") or found.leases.get("measuring")
+    by = f"{held.name} (actor {held.actor})" if held else "no client"
+    how = f"{1e3 * found.proxy_m:.4f} mm, by {by}" if found.proxy_m or found.proxy_held else ""
+    return f"held: {how}" if found.proxy_held else how
 
 
 def _under(name: str, lines: list[str]) -> list[str]:

@@ -33,7 +33,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.process import die_with_parent
 from hapticd.core.units import NS_PER_S, MonotonicClock
-from hapticd.mailbox.layout import State
+from hapticd.mailbox.layout import Flag, State
 from hapticd.protocol.answers import Event, Status, answer_of
 
 with terminal.deferred_imports():
@@ -75,6 +75,7 @@ STOP_KEYS = (" ", "\x1b")
 NEWEST = (
     "tick",
     "position_m",
+    "proxy_m",
     "force_n",
     "stiffness_n_per_m",
     "virtual_damping_ns_per_m",
@@ -209,6 +210,7 @@ def _newest(view: View) -> dict[str, Any]:
         "simulated": view.simulated,
         **{name: newest[name].item() for name in NEWEST},
         **{name: view.state.get(name, -1) for name in DELAYS},
+        "proxy_held": bool(newest["flags"] & Flag.PROXY_HELD),
         "wake_us": newest["wake_ns"] / 1e3,
         "delivered_active_damping": view.state.get("delivered_active_damping", {}),
         "guard": view.state.get("guard", {}),

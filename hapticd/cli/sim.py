@@ -274,7 +274,8 @@ def remedies(
     differentiator, PO/PC and an energy tank, by the energy that the display gives out in passive
     hands.
 
-    Ctrl-C is safe: the same command with the same --out continues with the remaining trials.
+    Ctrl-C is safe: the same command with the same --out continues with the remaining trials and
+    rows by energy.
     """
     terminal.need_engine()
     scenes_asked = tuple(common.scene_of(name) for name in names or remedy_studies.SCENES)

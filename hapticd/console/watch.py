@@ -40,7 +40,7 @@ from hapticd.console.plane import Planes
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.mailbox.layout import State
+from hapticd.mailbox.layout import Flag, State
 from hapticd.protocol.answers import Event, answer_of
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
@@ -54,7 +54,6 @@ EVERY_S = 0.5
 LAG = 512  # samples: a resolution of about 12 Hz
 FREQUENCIES_HZ = np.geomspace(8.0, 500.0, 60)
 COHERENT = 0.3  # lines of lower coherence are not shown
-NOTHING = "no excitation; use Noise"
 
 
 class Probing:
@@ -82,7 +81,7 @@ class Probing:
                 with suppress(HapticdError):
                     self._follow()
             else:
-                self._tell({"note": NOTHING})
+                self._tell({"note": "no excitation; use Noise"})
 
     def _follow(self) -> None:
         """Estimate while the device is excited. DaemonDown if there is no daemon."""
@@ -175,6 +174,8 @@ NOW = (
     "active_damping_ns_per_m",
     "active_damping_effect_ns_per_m",
     "position_m",
+    "proxy_m",
+    "lease_control",
     "force_n",
     "winding_c",
     "lost_slots",
@@ -223,6 +224,7 @@ def _now(record: np.void) -> dict[str, Any]:
         "state": STATES[found["state"]],
         "fault": BY_NUMBER[found["fault"]].code,
         "damping_count": None if known["active_damping_effect_ns_per_m"] is None else count,
+        "proxy_held": bool(found["flags"] & Flag.PROXY_HELD),
         **known,
     }
 

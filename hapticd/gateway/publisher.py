@@ -24,7 +24,7 @@ from hapticd.mailbox.layout import Command, Flag, State, Value, Watched, values_
 from hapticd.protocol.answers import LimitCycleFault
 from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
-from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, EventCode, Journal
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.ledger import Ledger
 from hapticd.protocol.telemetry import Feed, Origin, ProbeDecoder, RingBlock, Subscriptions
@@ -44,6 +44,7 @@ RECORD_FIELDS_SHOWN = (
     "active_damping_asked_ns_per_m",
     "active_damping_ns_per_m",
     "position_m",
+    "proxy_m",
     "force_n",
     "delay_spread_us",
     "winding_c",
@@ -62,6 +63,7 @@ NEWS = (
 DELAY_TICKS = 256  # for the delay in `state`; `delay_spread_us` covers as many
 LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # users wait for these changes
 EARLY_NS = 20 * NS_PER_MS  # between two blocks that are sent before they are complete
+CALM_NS = NS_PER_S
 
 
 def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> dict[str, Any]:
@@ -84,6 +86,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
+        "proxy_held": view.alive and bool(record.get("flags", 0) & Flag.PROXY_HELD),
         **(usual_delays(view.newest(DELAY_TICKS)) if view.alive else {}),
         "limit_cycle_faults": limit_cycle_faults(view, leases),
         "commissioning": commissioning(view),
@@ -151,6 +154,9 @@ class Transitions:
         self._life = 0
         self._last = (0, 0)
         self._changes = 0  # of the environment, as last seen
+        self._law = 0  # actor whose law moves the proxy
+        self._longest_slots = view.params.safety.proxy_timeout_s * view.params.realtime.rate_hz
+        self._stayed_ns = -CALM_NS  # time of the last record in which the proxy stays
 
     def follow(self, block: RingBlock) -> None:
         """Note the changes in `block`, and the gap before it."""
@@ -171,14 +177,14 @@ class Transitions:
         if len(states):
             self._last = int(states[-1]), int(faults[-1])
             self._control(block.records)
+            self._follow_proxy(block.records)
 
     def _control(self, records: Records) -> None:
         """Note changes by the energy controller: they have actor 0 and its flag is set."""
         changes = records["environment_revision"]
         before = np.concatenate(([self._changes], changes[:-1]))
         own = (changes != before) & (records["actor"] == 0)
-        for place in np.flatnonzero(own & (records["flags"] & Flag.CONTROLLED != 0)).tolist():
-            record = records[place]
+        for record in records[own & (records["flags"] & Flag.CONTROLLED != 0)]:
             self._journal.note(
                 "controlled",
                 unix_ns=int(record["time_ns"]) + self._view.unix_offset_ns,
@@ -186,6 +192,41 @@ class Transitions:
                 excess_j=float(record["excess_j"]),
             )
         self._changes = int(changes[-1])
+
+    def _follow_proxy(self, records: Records) -> None:
+        """Note that a law begins to move the proxy, and why it ends. Within CALM_NS after a stay
+        of the proxy none begins, so that a law at its limit does not fill the journal.
+        """
+        stays = records[(records["flags"] & Flag.PROXY_HELD) != 0]
+        at = stays[0] if len(stays) else records[-1]
+        led = at["lease_control"] if at["state"] == State.ENABLED else 0
+        ends = len(stays) > 0 or not led
+        seen = led and (at["proxy_m"] or ends) and at["time_ns"] - self._stayed_ns > CALM_NS
+        self._stayed_ns = int(stays[-1]["time_ns"]) if len(stays) else self._stayed_ns
+        if ends if self._law else seen:
+            self._law = self._law or int(led)
+            self._journal.note(
+                self._end_of_law(at) if ends else "proxy_taken",
+                unix_ns=int(at["time_ns"]) + self._view.unix_offset_ns,
+                tick=int(at["tick"]),
+                actor=self._law,
+                name=self._actors.name(self._law),
+                position_m=float(at["proxy_m"]),
+            )
+            self._law = 0 if ends else self._law
+
+    def _end_of_law(self, at: np.void) -> EventCode:
+        """Return why the law does not move the proxy in the record `at`."""
+        asked = max((one for one in self._view.proxied_slots if one <= at["slot"]), default=-1)
+        return (
+            "proxy_stopped"
+            if at["state"] != State.ENABLED
+            else "proxy_lease"
+            if at["lease_control"] != self._law
+            else "proxy_silent"
+            if at["slot"] - asked > self._longest_slots
+            else "proxy_energy"
+        )
 
     def _note(self, record: np.void, before: int) -> None:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])
@@ -282,11 +323,14 @@ class Publisher:
         """Return whether a lamp has changed, so that `messages` should not wait for a
         whole batch.
         """
-        may = bool(self._lamps) and now_ns - self._early_ns >= EARLY_NS
-        return may and self._view.alive and self._shown() != self._lamps
+        return (
+            self._view.alive
+            and now_ns - self._early_ns >= EARLY_NS
+            and self._lamps not in ((), self._shown())
+        )
 
     def _shown(self) -> tuple[Any, ...]:
-        values = (self._view.record.get(name) for name in LAMPS)
+        values = map(self._view.record.get, LAMPS)
         return tuple(value if value == value else None for value in values)  # unknown stays so
 
     def messages(self, now_ns: int, unix_ns: int, ended: bool = False) -> list[Message]:
@@ -313,8 +357,10 @@ class Publisher:
             found += self._ticks(block, wanted)
         self._judge_room()
         self.flight.dump_if_due(now_ns)
-        verdicts = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
-        found += [("guard", _packed(message)) for message in verdicts]
+        found += [
+            ("guard", _packed(message))
+            for message in self._guard.messages(now_ns, unix_ns, "guard" in wanted)
+        ]
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
         return found
@@ -347,8 +393,9 @@ class Publisher:
         self._judged = True
         room = self.times.room
         if room.short:
-            percent = 100.0 * room.tick_us / room.period_us
-            self._journal.note("tick_too_long", percent=percent, **asdict(room))
+            self._journal.note(
+                "tick_too_long", percent=100.0 * room.tick_us / room.period_us, **asdict(room)
+            )
 
     def _follow_damping(self, block: RingBlock) -> None:
         """Warn if too little active damping is delivered, and request the fault if it is needed."""
@@ -364,8 +411,9 @@ class Publisher:
         found: list[Message] = []
         if "servo" in wanted:
             energies = self._ledger.take(block.records)
-            payloads = block.batches(energies, self._origin, self._batch)
-            found += [("servo", payload) for payload in payloads]
+            found += [
+                ("servo", payload) for payload in block.batches(energies, self._origin, self._batch)
+            ]
         else:
             self._ledger.defer(block.records)
         if "servo.raw" in wanted:
@@ -394,8 +442,9 @@ class Publisher:
 
     def without_guard(self, unix_ns: int) -> dict[str, Any]:
         """Return the topic `state` without the summary of the guard."""
-        found = state_map(self._view, self._actors, self._leases, unix_ns)
-        return found | {"delivered_active_damping": self._delivered.estimate._asdict()}
+        return state_map(self._view, self._actors, self._leases, unix_ns) | {
+            "delivered_active_damping": self._delivered.estimate._asdict()
+        }
 
 
 def _packed(content: dict[str, Any]) -> bytes:

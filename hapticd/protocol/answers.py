@@ -395,6 +395,7 @@ class Event(Receipt):
     what: str = ""  #: that is leased
     by: str = ""  #: who took the lease over
     ttl_s: float = 0.0  #: of the lease
+    position_m: float | None = None  #: of the proxy
     by_cmd: str = ""  #: of the request because of which the rest of a change is not done
     by_actor: int = 0  #: who asked it
     reported_ns_per_m: float | None = None  #: active damping that the board reports
@@ -438,6 +439,8 @@ class Status(InForce):
     homed: int = 0
     perturbing: int = 0
     position_m: float = 0.0
+    proxy_m: float = 0.0
+    proxy_held: bool = False  #: whether the proxy does not follow: late, no lease or no energy
     force_n: float = 0.0
     #: delay from sample to force, and age of a frame when it was read, us: 99th percentile of the
     #: last 256 ticks with a frame

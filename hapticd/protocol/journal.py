@@ -44,6 +44,7 @@ KEPT = 32
 QUEUED = 256
 STAYS = "; the environment in force stays"
 LEASE = "the lease of {what} by {name} (actor {actor}) "
+PROXY = "the proxy of {name} (actor {actor}) stays at {position_m:.4g} m: "
 
 EventCode = Literal[
     "state", "fault", "servo_up", "servo_down", "gap", "flight", "mark", "controlled",
@@ -52,6 +53,7 @@ EventCode = Literal[
     "hand", "no_hand",
     "lease_taken", "lease_released", "lease_taken_over", "lease_silent", "lease_gone",
     "lease_failed",
+    "proxy_taken", "proxy_silent", "proxy_lease", "proxy_energy", "proxy_stopped",
     "tick_too_long", "damping_low", "not_passive", "terms_not_kept", "terms_after_restart",
     "answers_lost", "flight_not_written", "telemetry_open", "port_taken", "listener_refused",
     "key_unreadable", "relay_ended",
@@ -96,6 +98,11 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "lease_silent": ("lease", LEASE + "ended: its holder was silent for {ttl_s:g} s"),
     "lease_gone": ("lease", LEASE + "ended with the connection of its holder"),
     "lease_failed": ("lease", LEASE + "ended: its holder failed"),
+    "proxy_taken": ("proxy", "{name} (actor {actor}) moves the proxy"),
+    "proxy_silent": ("proxy", PROXY + "no new position arrives in time"),
+    "proxy_lease": ("proxy", PROXY + "its client no longer holds the lease of the environment"),
+    "proxy_energy": ("proxy", PROXY + "its law has used its energy"),
+    "proxy_stopped": ("proxy", "the proxy of {name} (actor {actor}) ended with the force"),
     "tick_too_long": (
         "warning",
         "a tick takes {tick_us:.0f} us of its {period_us:.0f} us ({percent:.0f} %, at most"

@@ -91,7 +91,8 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         "event",
-        "map with `kind`: state, answer, guard, gap, mark, servo_up, servo_down, flight, warning",
+        "map with `kind`: state, answer, guard, lease, proxy, gap, mark, servo_up, servo_down,"
+        " flight, controlled, warning",
         "when it happens",
         0,
     ),

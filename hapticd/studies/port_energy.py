@@ -27,6 +27,7 @@ slow that it does not show within SECONDS.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import inf, isfinite, nan, sqrt
 from typing import Any
 
@@ -86,13 +87,12 @@ OBSERVERS = {
 TANK = {"tank": LEVELS[:1], "tank, best level": LEVELS}
 LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
 AS_IT_IS = REMEDIES[0].name
+DAMPED = "1.74 N s/m"
 # each judged remedy, and the remedy of the table by theory that it extends
 BASES = {
-    AS_IT_IS: AS_IT_IS,
-    "best corner": "best corner",
-    "1.74 N s/m": "1.74 N s/m",
-    FOAW: AS_IT_IS,
-    **dict.fromkeys((*LEVANT, *OBSERVERS, *TANK), AS_IT_IS),
+    **{name: name for name in (AS_IT_IS, "best corner", DAMPED)},
+    **dict.fromkeys((FOAW, *LEVANT, *OBSERVERS, *TANK), AS_IT_IS),
+    **{f"{name}, {DAMPED}": DAMPED for name in (FOAW, "PO/PC", "tank")},
 }
 ASKED = 2.0  # of `EnergyRow.given_out_j`, over the first row's K
 Parts = tuple[LawPart, ...]
@@ -155,8 +155,7 @@ def pushed_n(scene: Scene) -> float:
 def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floats:
     """Return E [J] (H, N) of environments (N, 2), K and B, in `hands` (H, 6); inf if diverged."""
     model = display(scene).model
-    push = np.zeros(round(SECONDS * PROBE_RATE_HZ))
-    push[: round(PUSH_S * PROBE_RATE_HZ)] = pushed_n(scene)
+    seconds = np.arange(round(SECONDS * PROBE_RATE_HZ)) / PROBE_RATE_HZ
     found = np.zeros((len(hands), len(points)))
     for row, sizes in zip(found, hands, strict=True):
         trials = simulate(
@@ -165,7 +164,7 @@ def given_out(scene: Scene, parts: Parts, hands: Floats, points: Floats) -> Floa
             SECONDS,
             active_damping=scene.level_ns_per_m,
             environment=scene.free_of_walls,
-            excitation=push,
+            excitation=np.where(seconds < PUSH_S, pushed_n(scene), 0.0),
             substeps=SUBSTEPS,
             parts=parts,
         )
@@ -187,6 +186,7 @@ def drawn(seed: int, count: int) -> Floats:
     return np.random.default_rng(seed).uniform(LEAST, MOST, (count, LEAST.size))
 
 
+@lru_cache(maxsize=len(LEVELS))  # the row before may have tried the same number
 def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
     """Try the coarse grid over the first row's K and B, in the hands that all laws share."""
     hands = drawn(1, HANDS[quick])
@@ -199,6 +199,7 @@ def tried(scene: Scene, parts: Parts, first: Row, quick: bool) -> Tried:
     return Tried(scene, parts, b[hopeful], hands, failed[:, hopeful], float(k[-1]))
 
 
+@lru_cache(maxsize=len(LEVELS))
 def worsened(one: Tried, quick: bool) -> Tried:
     """Add variations of the hands that fail first, on finer grids of K below their failure."""
     random = np.random.default_rng(2)
@@ -259,7 +260,7 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
     """Return the row of a remedy whose scene is `scene`."""
     found = [
         (number, worsened(tried(scene, parts, first, quick), quick))
-        for number, parts in laws(name, scene, first)
+        for number, parts in laws(name.removesuffix(f", {DAMPED}"), scene, first)
     ]
     number, best = max(found, key=lambda one: one[1].limit_n_per_m)
     b = float(best.virtual_damping_ns_per_m[best.best])
@@ -300,8 +301,11 @@ def run_port_energy(
     found = []
     for name, scene, first, base in asked:
         steps.next(f"{scene.name}, {name}: energy at the port")
-        remedy = next(one for one in params.remedies if one.name == base.remedy)
-        own = treated(scene, remedy, base.corner_hz)
+        own = treated(
+            scene,
+            next(one for one in params.remedies if one.name == base.remedy),
+            base.corner_hz,
+        )
         best = first.stiffness_n_per_m, first.virtual_damping_ns_per_m
         key = fingerprint((__version__, "energy at the port", name, own, best, params.quick))
         if key not in store.known:
@@ -313,7 +317,9 @@ def run_port_energy(
 
 def _row(kept: Mapping[str, Any]) -> EnergyRow:
     """Return a row of the store, where null is nan and a complex number a pair."""
+    arrays = {
+        "draws_n_per_m": np.array(kept["draws_n_per_m"]),
+        "rendered": np.array(kept["rendered"], np.float64) @ [1.0, 1j],
+    }
     row: dict[str, Any] = {name: nan if value is None else value for name, value in kept.items()}
-    row["draws_n_per_m"] = np.array(kept["draws_n_per_m"])
-    row["rendered"] = np.array(kept["rendered"], np.float64) @ [1.0, 1j]
-    return EnergyRow(**row)
+    return EnergyRow(**row | arrays)

@@ -652,7 +652,9 @@ def test_page_loads_nothing_from_elsewhere(served: Served, chromium: Browser) ->
     page.context.close()
 
 
-def test_a_lease_of_another_is_shown_and_refuses_in_words(page: Page, client: Client) -> None:
+def test_a_lease_and_a_proxy_of_another_are_shown_and_refuse_in_words(
+    page: Page, client: Client
+) -> None:
     with client.lease("environment", ttl_s=60.0):
         wait_text(page, "#lease-holder", "environment: test")
         assert read_in_full(page, "#lease-holder")
@@ -660,8 +662,15 @@ def test_a_lease_of_another_is_shown_and_refuses_in_words(page: Page, client: Cl
         page.click("#set")
         wait_text(page, "#log", "refused")
         assert client.get().parameters["K"] == 0.0
+        client.enable()
+        client.proxy(0.002)
+        wait_text(page, "#proxy", "mm, by test (")
+        wait_text(page, "#proxy", "proxy held: ")
+        assert read_in_full(page, "#proxy")
+        assert page.evaluate(OVERFLOWING) == []
         page.click("#stop")
         wait_text(page, "#lamp", "stopped")
+        expect(page.locator("#proxy")).to_have_text("")
     wait_text(page, "#lease-holder", "none")
 
 

@@ -3,7 +3,7 @@ what the measure finds agrees with the theorem where there is one.
 """
 
 from dataclasses import replace
-from math import inf, isnan
+from math import inf, isnan, nan
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from hapticd.studies.port_energy import (
     GIVEN_J,
     LEAST,
     MOST,
+    EnergyRow,
     Tried,
     first_failures,
     given_out,
@@ -167,3 +168,82 @@ def test_rows_are_kept_and_agree_with_the_theorem(small, tmp_path, monkeypatch):
     monkeypatch.setattr(port_energy, "judged", None)  # every row is in the store
     again = run_port_energy(small, rows, TrialStore(tmp_path / "kept.jsonl"))
     assert to_json(again) == to_json(found)
+
+
+# --- rows, without their trials -------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def theory():
+    """A study of two remedies, and its rows by the theorem."""
+    params = RemediesParams((bench(),), (REMEDIES[0], REMEDIES[7]), quick=True)
+    return params, run_remedies(params, TrialStore(None))
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is asked of each row: its name, and its active damping. The fourth is interrupted."""
+    asked = []
+
+    def judged(name, scene, first, quick):
+        asked.append((name, scene.level_ns_per_m))
+        if len(asked) == 4:
+            raise KeyboardInterrupt
+        numbers = (nan, 0.5, 100.0, 200.0, False, 0.0)
+        draws = np.full(port_energy.DRAWS, 100.0)
+        return EnergyRow(first.device, name, *numbers, draws, np.array([1.0, 1j, 2.0]), 1e-5)
+
+    monkeypatch.setattr(port_energy, "judged", judged)
+    return asked
+
+
+def test_interrupted_rows_continue_with_those_that_are_missing(asked, theory, tmp_path):
+    params, rows = theory
+    path = tmp_path / "kept.jsonl"
+    told = []
+    names = [name for name, base in port_energy.BASES.items() if base != "best corner"]
+    with pytest.raises(KeyboardInterrupt):
+        run_port_energy(params, rows, TrialStore(path), lambda *step: told.append(step))
+    assert [step[1:] for step in told] == [(done, len(names)) for done in range(4)]
+    found = run_port_energy(params, rows, TrialStore(path))
+    assert [name for name, _ in asked] == [*names[:4], *names[3:]]
+    assert [row.remedy for row in found] == names
+
+
+def test_pairs_have_active_damping(asked, theory):
+    asked.extend([None] * 4)
+    run_port_energy(*theory, TrialStore(None))
+    levels = dict(asked[4:])
+    pairs = [f"{part}, 1.74 N s/m" for part in ("FOAW", "PO/PC", "tank")]
+    assert [levels["FOAW"], *(levels[name] for name in pairs)] == [0.0, 1.74, 1.74, 1.74]
+
+
+@pytest.mark.parametrize("part", ["FOAW", "PO/PC", "tank"])
+def test_a_pair_searches_with_the_part_of_its_name(part, theory, monkeypatch):
+    """And with no other: the first search ends here."""
+
+    def ends(scene, parts, first, quick):
+        raise StopIteration(parts)
+
+    monkeypatch.setattr(port_energy, "tried", ends)
+    scene, first = load_scene("fig4"), theory[1][0]
+    ((_, expected),) = port_energy.laws(part, scene, first)
+    with pytest.raises(StopIteration) as end:
+        port_energy.judged(f"{part}, 1.74 N s/m", scene, first, True)
+    assert end.value.value == expected
+
+
+def test_a_number_that_the_row_before_has_tried_is_not_tried_again(theory, monkeypatch):
+    searched = []
+
+    def failures(scene, parts, hands, k, b):
+        searched.append(parts)
+        return np.full((len(hands), b.size), inf)
+
+    monkeypatch.setattr(port_energy, "first_failures", failures)
+    scene, first = bench(), theory[1][0]
+    for name in ("Levant", "Levant, best C"):
+        for _, parts in port_energy.laws(name, scene, first):
+            port_energy.worsened(port_energy.tried(scene, parts, first, True), True)
+    assert len(set(searched)) == len(port_energy.ACCELERATIONS)
+    assert len(searched) == 2 * len(set(searched))  # on the coarse grid, and on the fine one

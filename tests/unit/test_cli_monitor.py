@@ -17,7 +17,7 @@ from hapticd.cli.monitor import View, screen
 from hapticd.client import fast_stop
 from hapticd.core.faults import BY_CODE
 from hapticd.core.units import NS_PER_MS, NS_PER_S, VirtualClock
-from hapticd.mailbox.layout import TELEMETRY, State
+from hapticd.mailbox.layout import TELEMETRY, Flag, State
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.telemetry import Origin, RingBlock
 
@@ -114,6 +114,26 @@ def test_values_of_the_newest_record_go_before_those_of_the_newest_state() -> No
     text = drawn(shown)
     assert "x 12.0000 mm" in text
     assert "usb_lost" not in text
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"), [(Flag.PROXY_HELD, "held: 4.0000 mm"), (0, "4.0000 mm")]
+)
+def test_screen_and_json_show_the_proxy_and_its_client(flags: int, words: str) -> None:
+    shown = full(proxy_m=0.004, flags=flags)
+    assert f"proxy     {words}, by sweep (actor 17)" in drawn(shown)
+    found = monitor._newest(shown)
+    assert (found["proxy_m"], found["proxy_held"]) == (0.004, bool(flags))
+
+
+def test_screen_without_a_proxy_has_no_line_for_it() -> None:
+    assert "proxy" not in drawn(full())
+
+
+def test_proxy_that_stays_after_its_lease_is_nobodys() -> None:
+    shown = full(flags=Flag.PROXY_HELD)
+    del shown.state["leases"]
+    assert "proxy     held: 0.0000 mm, by no client" in drawn(shown)
 
 
 def test_screen_of_a_real_board_says_so() -> None:

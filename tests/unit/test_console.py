@@ -31,7 +31,7 @@ from hapticd.console.watch import estimate, frame
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
 from hapticd.mailbox.files import COMMAND_SOCKET, CONSOLE
-from hapticd.mailbox.layout import TELEMETRY, State
+from hapticd.mailbox.layout import TELEMETRY, Flag, State
 
 STATIC = Path(server.__file__).with_name("static")
 
@@ -406,6 +406,13 @@ def test_damping_that_a_board_does_not_report_is_unknown_and_not_zero() -> None:
     header, _ = read(frame(block(active_damping_effect_ns_per_m=np.nan)))
     assert header["now"]["active_damping_effect_ns_per_m"] is None
     assert header["now"]["damping_count"] is None
+
+
+@pytest.mark.parametrize("flags", [0, Flag.PROXY_HELD])
+def test_a_frame_carries_the_proxy_and_who_holds_the_lease(flags: int) -> None:
+    header, _ = read(frame(block(proxy_m=0.004, lease_control=17, flags=flags)))
+    now = header["now"]
+    assert (now["proxy_m"], now["proxy_held"], now["lease_control"]) == (0.004, bool(flags), 17)
 
 
 def test_count_of_the_damping_is_that_of_the_boards_frame() -> None:

@@ -76,6 +76,9 @@ export class Controls {
     put("damping-board", known
       ? `board reports ${now.damping_count} counts = ${plain(effect)} N\u202fs/m`
       : "this board does not report its damping");
+    const { proxy_m, proxy_held, lease_control } = now;
+    const by = lease_control ? `${this.told.actors?.[lease_control] ?? "client"} (${lease_control})` : "no client";
+    put("proxy", proxy_m || proxy_held ? `proxy ${proxy_held ? "held" : "moves"}: ${plain(1e3 * proxy_m)} mm, by ${by}` : "");
   }
 
   fault(told) {
