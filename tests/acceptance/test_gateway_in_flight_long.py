@@ -1,5 +1,5 @@
-"""What is under way when a gateway is replaced, a board restarts, the ring is full, or a wall changes
-again: the command server, with the guard's judge, in front of the servo itself, on virtual time.
+"""What is under way when a gateway is replaced, a board restarts, the ring is full, or a wall is
+changed: the command server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
 from collections.abc import Iterator
