@@ -583,8 +583,8 @@ def proxy_tick(plan: Plan, tick: int, params: ServoParams) -> int:
 
 
 def proxy_ticks(params: ServoParams) -> int:
-    """Return the ticks for which a target of the proxy is valid."""
-    return round_half_up(params.safety.proxy_timeout_s * params.realtime.rate_hz)
+    """Return the ticks for which a target of the proxy is valid, at least 1."""
+    return max(1, round_half_up(params.safety.proxy_timeout_s * params.realtime.rate_hz))
 
 
 def flatten(state: ServoState) -> tuple[Any, ...]:

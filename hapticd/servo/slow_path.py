@@ -55,6 +55,7 @@ from hapticd.servo.plan import (
     Request,
     Sample,
     ServoState,
+    added_target,
     advance_added,
     coefficients_of,
     environment_of,
@@ -239,7 +240,9 @@ class SlowPath:
             ledger = unknown_before(ledger)
             plan, flags = self._begun_anew(before, plan, tick)
         plan = controlled(plan, ledger[EXCESS], (last_tick, tick), self._params, self._own)
-        plan = advance_added(plan, tick, elapsed, self._params)
+        # damping that starts in this tick has not missed the lost slots
+        rising = added_target(before, tick, self._params) != before.added
+        plan = advance_added(plan, tick, elapsed if rising else 1, self._params)
         plan = compensated(plan, sample, acting_n, tick, self._params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, self._rate_hz)
