@@ -31,6 +31,7 @@ sample that hides the acceleration of a handle during several lost ones.
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
+from itertools import pairwise
 from typing import Final
 
 from hapticd.core.params import ServoParams
@@ -218,18 +219,14 @@ class Samples:
         return law, ledger
 
 
-def _without_gaps(start: float, positions: Sequence[float | None]) -> tuple[float, ...]:
+def _without_gaps(start: float, positions: Sequence[float | None]) -> list[float]:
     """Return `positions` after `start` with each None on the line between its neighbours."""
-    found: list[float] = []
-    lost = 0
-    for position in positions:
-        if position is None:
-            lost += 1
-            continue
-        found += [*_line(start, position, lost), position]
-        start = position
-        lost = 0
-    return tuple(found)
+    known = [(place, x) for place, x in enumerate((start, *positions)) if x is not None]
+    return [
+        x
+        for (before, one), (place, other) in pairwise(known)
+        for x in (*_line(one, other, place - before - 1), other)
+    ]
 
 
 def _line(start: float, end: float, lost: int) -> tuple[float, ...]:
