@@ -409,9 +409,17 @@ class CommandServer:
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _take_back(self, actor: int) -> None:
-        """Withdraw the posted commands of the client `actor` that have not begun."""
-        for one in self._outstanding.asked_by(actor):
-            self._taken_back(one, self._view.state in (State.ENABLED, State.HOMING))
+        """Withdraw the posted commands of the client `actor` that have not begun. Force that acts
+        already stays.
+        """
+        asked = self._outstanding.asked_by(actor)
+        for one in asked:
+            self._withdrawn(one)
+        kept = Command.DISABLE if self._view.state in (State.ENABLED, State.HOMING) else None
+        # one of each kind: the gateway's own commands have few places in the ring
+        for undo, mailbox in {TAKEN_BACK.get(one.kind): one.mailbox for one in asked}.items():
+            if undo not in (None, kept):
+                mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({}))
 
     def _withdraw_outdated(self) -> None:
         """Withdraw the commands that were judged by other terms, or whose parts another client has
@@ -425,13 +433,13 @@ class CommandServer:
         ends = one.change and ends_force(one.change.request, self._guard.in_force.target())
         return one.kind in TAKEN_BACK and not ends and one.mailbox.withdraw(one.seq)
 
-    def _taken_back(self, one: Pending, forced: bool = False) -> bool:
+    def _taken_back(self, one: Pending) -> bool:
         """Withdraw `one`, which is not answered, or end its force in its first tick; return whether
-        that succeeded. `forced`: there is force that must stay.
+        that succeeded.
         """
         undo = TAKEN_BACK.get(one.kind)
         withdrawn = self._withdrawn(one)
-        if undo is None or (forced and undo is Command.DISABLE):
+        if undo is None:
             return withdrawn
         # also if it was withdrawn: a servo suspended while it took the command has a copy
         return one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({})) is not None or withdrawn

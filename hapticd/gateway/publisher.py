@@ -280,6 +280,7 @@ class Publisher:
         realtime = setup.servo.realtime
         self.times = TickTimes(realtime.grace_s, realtime.rate_hz)
         self._judged = False  # whether the room of a tick was judged
+        self._fault_due = False
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -355,6 +356,7 @@ class Publisher:
                 self._delivered.forget()
             self._follow_damping(block)
             found += self._ticks(block, wanted)
+        self._post_fault()
         self._judge_room()
         self.flight.dump_if_due(now_ns)
         found += [
@@ -375,6 +377,7 @@ class Publisher:
             self._lamps = ()
             self.times.begin(self._origin.epoch)
             self._judged = False
+            self._fault_due = False
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()
@@ -404,8 +407,13 @@ class Publisher:
                 percent = 100.0 * (low.estimate.ratio or 0.0)
                 found = low.estimate._asdict()
                 self._journal.note("damping_low", percent=percent, delivered=found)
-            if low.fault and self._view.mailbox:
-                self._view.mailbox.post(Command.FAULT, GATEWAY_ACTOR, 0, NOT_DELIVERED)
+            self._fault_due = self._fault_due or low.fault
+
+    def _post_fault(self) -> None:
+        """Request the fault, again in each pass while the command ring is full."""
+        if self._fault_due and self._view.mailbox:
+            seq = self._view.mailbox.post(Command.FAULT, GATEWAY_ACTOR, 0, NOT_DELIVERED)
+            self._fault_due = seq is None
 
     def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
         found: list[Message] = []

@@ -331,6 +331,7 @@ class Guard:
         question = {
             "ask": "change",
             "now": self.in_force.now().message(),
+            "wall_dampings": self.in_force.wall_dampings[1:],
             "target": self.in_force.target().message(),
             "state": self._view.state_name,
             "gain": float(self._view.record["gain"]),

@@ -18,7 +18,8 @@ before.
 Environment in force (`EnvironmentInForce`). It is determined from the newest record and the last
 answer of the servo. `target` is the end of the ramps in progress, `now` the environment that acts
 in the newest record. Records do not contain the wall's damping during a ramp, nor its side once it
-is rounded to 0. For these the value counts that may still act and is furthest from the target.
+is rounded to 0. For these the value counts that may still act and is furthest from the target. The
+other end of the wall's damping is in `wall_dampings`.
 Limitations: record and answers may belong to different revisions for a moment, and ramps that began
 before this gateway may move a wall from an unknown value (see `known`).
 """
@@ -314,18 +315,23 @@ class EnvironmentInForce:
         """Return the end of the ramps in progress."""
         return rendered(self._view.targets)
 
+    @property
+    def wall_dampings(self) -> list[float]:
+        """Extreme values of the wall's damping [N s/m] that may act, the furthest from the target
+        first.
+        """
+        target = self.target().wall.virtual_damping_ns_per_m
+        return sorted(self._wall_damping, key=lambda end: -abs(end - target))
+
     def now(self) -> Environment:
         """Return the environment that acts in the newest record."""
         record = self._view.record
         target = self.target()
-        wall_damping = target.wall.virtual_damping_ns_per_m
         effect = record["active_damping_effect_ns_per_m"]
         return target.with_values(
             {path: record[column] for path, column in COLUMNS.items()}
             | {
-                "wall.virtual_damping_ns_per_m": max(
-                    self._wall_damping, key=lambda end: abs(end - wall_damping)
-                ),
+                "wall.virtual_damping_ns_per_m": self.wall_dampings[0],
                 "wall.side": record["wall_side"] or (self._side.value if self._moving else 0),
                 # NaN: the board did not report it
                 "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.core.environment import Environment
+from hapticd.core.environment import Environment, WallParams
 
 POINTS = 20  # of a whole path
 AXES = ("K", "B", "M")
@@ -77,6 +77,7 @@ class TransitionPlanner:
     levels: tuple[float, ...]  # cached levels of damping
     count_ns_per_m: float  # of the damping DAC
     change: Mapping[str, Any]  # the requested fields
+    wall_dampings: Sequence[float] = ()  # of the wall in force, if it may have another than `now`
 
     @cached_property
     def wanted(self) -> Environment:
@@ -140,6 +141,7 @@ class TransitionPlanner:
             # no force acts before the requested damping is in effect
             here = replace(self.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m)
             environments[0] = here if self.enable else environments[0]
+        environments += self._others(environments[0])
         rendered = {replace(one, active_damping_ns_per_m=0.0) for one in environments}
         return corner_mixtures(environments) if len(rendered) > 1 else []
 
@@ -148,16 +150,26 @@ class TransitionPlanner:
         apply up to the first stage that waits for the ramps.
         """
         pairs = zip(_numbers(self.now), _numbers(self.target), strict=True)
-        if not self.moving or sum(start != end for start, end in pairs) < 2:
+        several = self.wall_dampings or sum(start != end for start, end in pairs) >= 2
+        if not (self.moving and several):
             return []
         together = takewhile(
             lambda one: not one[0].after_ramps, zip(plan.stages, plan.segments, strict=True)
         )
         corners = [
-            corner_mixtures([segment.start, segment.under_way, segment.end])
+            corner_mixtures(
+                [segment.start, segment.under_way, segment.end, *self._others(segment.start)]
+            )
             for _, segment in together
         ]
         return [environment for part in corners for environment in part]
+
+    def _others(self, here: Environment) -> list[Environment]:
+        """Return `here` with the other dampings that its wall may have."""
+        return [
+            replace(here, wall=replace(here.wall, virtual_damping_ns_per_m=value))
+            for value in self.wall_dampings
+        ]
 
     def _later(self, start: Environment) -> list[Segment]:
         segments = []
@@ -250,8 +262,11 @@ def _moving(segment: Segment) -> tuple[bool, bool, bool]:
 
 
 def _numbers(environment: Environment) -> tuple[float, ...]:
-    wall = environment.wall
-    return (*environment.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
+    return (*environment.free, *_strength(environment.wall), environment.wall.side)
+
+
+def _strength(wall: WallParams) -> tuple[float, float]:
+    return wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m
 
 
 def sampled_segment(
@@ -372,22 +387,22 @@ def corner_mixtures(environments: Sequence[Environment]) -> list[Environment]:
     """Return the corners of all environments with each parameter anywhere between those of
     `environments`.
 
-    These are minimum and maximum of K, B, M and level, with the strongest wall if there is any.
+    These are minimum and maximum of K, B, M, of stiffness and damping of the wall, if there is any,
+    and of the level.
     """
-    places = [one.free for one in environments]
+    places = [
+        (*one.free, *_strength(one.wall), one.active_damping_ns_per_m) for one in environments
+    ]
     ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]
-    levels = [one.active_damping_ns_per_m for one in environments]
     sides = [one.wall.side for one in environments if one.wall.side != 0]
-    wall = replace(
-        environments[-1].wall,
-        stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in environments),
-        virtual_damping_ns_per_m=max(one.wall.virtual_damping_ns_per_m for one in environments),
-        side=sides[0] if sides else 0,
-    )
+    wall = replace(environments[-1].wall, side=sides[0] if sides else 0)
     filters = {one.filters: one for one in environments}
     return [
-        replace(one.with_free(free), wall=wall, active_damping_ns_per_m=level)
-        for free in product(*ranges)
+        replace(
+            one.with_free(free),
+            wall=replace(wall, stiffness_n_per_m=stiffness, virtual_damping_ns_per_m=damping),
+            active_damping_ns_per_m=level,
+        )
+        for *free, stiffness, damping, level in product(*ranges)
         for one in filters.values()
-        for level in sorted({min(levels), max(levels)})
     ]

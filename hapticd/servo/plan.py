@@ -152,7 +152,8 @@ class Plan(NamedTuple):
     limit_cycle_faults: bool = False
     origin_used: bool = False  # it was set, or enabled at, in this life of the servo
     origin_lost: bool = False  # a used one was lost; it must be found again
-    doubted: tuple[int, ...] = ()  # doubted encoder counts (servo.samples)
+    # encoder counts since the last sample that was believed, None for a lost one (servo.samples)
+    doubted: tuple[int | None, ...] = ()
     glitches: tuple[int, ...] = ()  # slots of the newest glitches of this state
     environment_revision: int = 0  # counts changes of environment and damping
     bookings: tuple["Booking", ...] = ()  # of the last second (servo.energy)
@@ -582,8 +583,8 @@ def proxy_tick(plan: Plan, tick: int, params: ServoParams) -> int:
 
 
 def proxy_ticks(params: ServoParams) -> int:
-    """Return the ticks for which a target of the proxy is valid."""
-    return round_half_up(params.safety.proxy_timeout_s * params.realtime.rate_hz)
+    """Return the ticks for which a target of the proxy is valid, at least 1."""
+    return max(1, round_half_up(params.safety.proxy_timeout_s * params.realtime.rate_hz))
 
 
 def flatten(state: ServoState) -> tuple[Any, ...]:

@@ -21,8 +21,9 @@ may get up to twice as much. A move is made only within all these bounds:
                 has ended
     energy      the sum of dE is at most `proxy_energy_j`. What is above 0 decays with
                 `proxy_power_w`, also while there is no proxy; below 0 it stays, at most
-                `proxy_stored_j`, until K or the gain raises the strength of the spring. A move that
-                takes energy from the spring is always made
+                `proxy_stored_j`, until K or the gain raises the strength of the spring. Energy that
+                is taken afterwards counts in full, also what the ramp added: `servo.energy` bounds
+                that. A move that takes energy from the spring is always made
 
 A target is reached after the time between it and the target before, so that a slow law moves the
 proxy smoothly. A held proxy never jumps and never returns by itself. It is set to 0 without force:
@@ -99,7 +100,7 @@ def moved(
     if left and not spring.running(tick) and spring.end == 0.0:
         return without_proxy(plan)
     stiffness_n_per_m = gain * spring.value(tick)
-    if stiffness_n_per_m > last_n_per_m:  # energy of a ramp is not a law's to return
+    if stiffness_n_per_m > last_n_per_m:  # a ramp ends the credit from before it
         proxy = proxy._replace(energy_j=max(0.0, proxy.energy_j))
     late = tick - proxy.asked_tick > proxy_ticks(params)
     if left or late:

@@ -2,7 +2,9 @@
 
 Replacement (`Samples`). The law's filters see every period. Up to `missing_frames_limit` lost
 samples are replaced by positions on the straight line between the samples on either side of them.
-The last force was held meanwhile. The module also keeps the state of the origin after lost samples.
+The last force was held meanwhile. A sample after lost ones is doubted if it lies further from the
+straight continuation than one bend that is accepted at once. The module also keeps the state of the
+origin after lost samples.
 
 Glitch of the encoder, or true motion (`verdict`). A sample bends the motion by its second
 difference x_n - 2 x_{n-1} + x_{n-2}. It is doubted if that exceeds limits.acceleration_m_per_s2.
@@ -19,13 +21,17 @@ A glitch ends soon, so its bends change sign: +g, -2g, +g. A tap bends one way f
 lasts, whatever its strength; the speed limit bounds its total effect. A position that jumps and
 stays bends by +g, -g: no handle moves like that either, and the doubt is not resolved.
 
-Limitations: samples that are not one period apart (then all doubted samples are lost), or a handle
-that is so light or struck so hard that it reverses within a period.
+Lost samples among doubted ones count as on the line between their neighbours. Doubted samples are
+lost too if a sample after a gap continues the motion from before them.
+
+Limitations: a handle that is so light or struck so hard that it reverses within a period, and a bad
+sample that hides the acceleration of a handle during several lost ones.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
+from itertools import pairwise
 from typing import Final
 
 from hapticd.core.params import ServoParams
@@ -83,7 +89,7 @@ def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) ->
     # a hand deviates from the straight line by less than that
     if away <= len(bends) * bend_m and away < newest:
         return GlitchVerdict.RETURNED
-    most = TAP if len(doubted) == MOST_DOUBTED else ONE_WAY
+    most = TAP if len(doubted) >= MOST_DOUBTED else ONE_WAY
     if newest <= most * bend_m and one_way(bends, bend_m):
         return GlitchVerdict.MOVED
     return GlitchVerdict.OPEN
@@ -136,7 +142,7 @@ class Samples:
         if not turns:
             return state
         ahead = turns << ENCODER_BITS
-        doubted = tuple(count + ahead for count in plan.doubted)
+        doubted = tuple(None if one is None else one + ahead for one in plan.doubted)
         plan = plan._replace(origin=plan.origin + ahead, doubted=doubted)
         settled = replace(settled, origin=plan.origin, plan=plan)
         return settled, law, ledger, held, signs
@@ -145,41 +151,35 @@ class Samples:
         self, plan: Plan, law: LawState, sample: Sample, tick: int
     ) -> tuple[Plan, tuple[float, ...], int]:
         """Return `plan` for a usable sample, the positions [m] in place of doubted or lost samples
-        before it, and record flags.
+        before it, and record flags. Flag DOUBTED: the sample is doubted.
         """
         encoder, _, _, arrival, _, _, _, _, _ = sample
-        if plan.doubted:
-            return self._undoubted(plan, law, encoder, arrival, tick)
-        if not 0 < arrival <= self._params.safety.missing_frames_limit:
-            return plan, (), 0
-        positions = _line(law[0], self.position_m(plan, encoder), arrival)
-        return plan, positions, int(Flag.INTERPOLATED)
-
-    def _undoubted(
-        self, plan: Plan, law: LawState, encoder: int, arrival: int, tick: int
-    ) -> tuple[Plan, tuple[float, ...], int]:
-        """Return `plan` after a sample that follows doubted ones, the positions [m] in place of
-        those, and record flags.
-        """
-        *doubted, x = (self.position_m(plan, count) for count in (*plan.doubted, encoder))
-        believing = plan._replace(doubted=())
+        believing = plan._replace(doubted=()) if plan.doubted else plan
         if arrival > self._params.safety.missing_frames_limit:
             return believing, (), 0
-        if arrival:
-            return believing, _line(law[0], x, arrival + len(doubted)), int(Flag.INTERPOLATED)
-        found = verdict(law, doubted, x, self._bend_m)
-        if found is GlitchVerdict.OPEN:
-            return plan, (), int(Flag.DOUBTED)
+        waiting = plan.doubted + (None,) * arrival
+        if not waiting:
+            return plan, (), 0
+        x = self.position_m(plan, encoder)
+        straight = _line(law[0], x, len(waiting))
+        if arrival and self.believable(plan, law, encoder, arrival):
+            return believing, straight, int(Flag.INTERPOLATED)
+        seen = [None if one is None else self.position_m(plan, one) for one in waiting]
+        *positions, _ = _without_gaps(law[0], [*seen, x])
+        found = verdict(law, positions, x, self._bend_m)
+        if found is GlitchVerdict.OPEN or (arrival and not plan.doubted):
+            return plan._replace(doubted=waiting), (), int(Flag.DOUBTED)
         if found is GlitchVerdict.MOVED:
-            return believing, tuple(doubted), int(Flag.BELIEVED)
+            return believing, tuple(positions), int(Flag.BELIEVED)
         recent = tuple(one for one in plan.glitches if tick - one < self._rate_hz)
-        counted = believing._replace(glitches=(*recent, *len(doubted) * (tick,)))
-        return counted, _line(law[0], x, len(doubted)), int(Flag.GLITCH)
+        bad = len(waiting) - waiting.count(None)
+        return believing._replace(glitches=(*recent, *bad * (tick,))), straight, int(Flag.GLITCH)
 
     def believable(self, plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
         """Return whether a sample continues those before it, over a gap of lost ones too."""
         x = self.position_m(plan, encoder)
-        return 0 <= arrival < SEED and abs(x - law[0] - (arrival + 1) * law[1]) <= self._bend_m
+        periods = len(plan.doubted) + arrival + 1
+        return 0 <= arrival < SEED and abs(x - law[0] - periods * law[1]) <= self._bend_m
 
     def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
         """Return `plan` with its origin, or without it if the sample shows that it is lost."""
@@ -217,6 +217,16 @@ class Samples:
                 ledger, law[1], ledger[FORCE], 0.0, elastic, mass, v, resistance, self._own.kept
             )
         return law, ledger
+
+
+def _without_gaps(start: float, positions: Sequence[float | None]) -> list[float]:
+    """Return `positions` after `start` with each None on the line between its neighbours."""
+    known = [(place, x) for place, x in enumerate((start, *positions)) if x is not None]
+    return [
+        x
+        for (before, one), (place, other) in pairwise(known)
+        for x in (*_line(one, other, place - before - 1), other)
+    ]
 
 
 def _line(start: float, end: float, lost: int) -> tuple[float, ...]:

@@ -55,6 +55,7 @@ from hapticd.servo.plan import (
     Request,
     Sample,
     ServoState,
+    added_target,
     advance_added,
     coefficients_of,
     environment_of,
@@ -165,7 +166,7 @@ class Causes:
 
 # --- order within a tick --------------------------------------------------------------------------
 
-RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of an accepted sample
+RESOLVED = int(Flag.GLITCH | Flag.BELIEVED)  # of an accepted sample
 UNHEARD = 3  # consecutive ticks without a frame: torque counts as not granted (ADR-0011)
 
 
@@ -195,7 +196,8 @@ class SlowPath:
         encoder, _, _, arrival, host, _, _, _, effect = sample
         if 0 < arrival < SEED or state[SETTLED].plan.doubted:
             state = self._samples.unwrapped(state, encoder)
-        settled, law, ledger, held, signs = state
+        settled, former_law, ledger, held, signs = state
+        law = former_law
         coefficients = settled.coefficients
         plan = watchdog_trial.followed(settled.plan, settled.out_flags)
         before = plan
@@ -208,7 +210,7 @@ class SlowPath:
         if usable:
             plan, positions, flags = self._samples.filled(plan, law, sample, tick)
             law, ledger = self._samples.bridged(law, ledger, positions, settled, effect)
-        if self._nothing_but_lost_frames(state, commands, sample, tick):
+        if not plan.doubted and self._nothing_but_lost_frames(state, commands, sample, tick):
             return (settled, law, ledger, held, signs), True, (), flags | settled.flags
         plan = self._samples.located(plan, sample, usable)
         _, held_n, former = held
@@ -221,7 +223,7 @@ class SlowPath:
         gateway = bool(host & GATEWAY_ALIVE)
         last_tick = min(settled.wake_tick, tick) - 1
         cause_now = self._causes.against_force(sample)
-        sure = usable and self._samples.believable(plan, law, encoder, arrival)
+        sure = usable and self._samples.believable(before, former_law, encoder, arrival)
         heard = -arrival < UNHEARD
         now = CommandContext(
             tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host), sure, heard
@@ -229,7 +231,8 @@ class SlowPath:
         plan = self._watched(plan, law[0], acting_n, tick)
         plan, answers = self._commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
-        if plan.state is State.HOMING and usable and (sure or flags & RESOLVED):
+        trusted = usable and bool(sure or flags & RESOLVED)
+        if plan.state is State.HOMING and trusted:
             plan, more = self._searched(plan, sample, now)
             answers += tuple(more)
         if usable and self._begins_anew(before, plan, arrival, tick):
@@ -237,22 +240,22 @@ class SlowPath:
             ledger = unknown_before(ledger)
             plan, flags = self._begun_anew(before, plan, tick)
         plan = controlled(plan, ledger[EXCESS], (last_tick, tick), self._params, self._own)
-        plan = advance_added(plan, tick, elapsed, self._params)
+        # damping that starts in this tick has not missed the lost slots
+        rising = added_target(before, tick, self._params) != before.added
+        plan = advance_added(plan, tick, elapsed if rising else 1, self._params)
         plan = compensated(plan, sample, acting_n, tick, self._params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, self._rate_hz)
             law = refiltered(law, coefficients, renewed)
             coefficients = renewed
+        x = self._samples.position_m(plan, encoder) if trusted else None
         stepped_n = 0.0
         if plan.state is State.ENABLED or plan.state in LATCHED:
-            x = self._samples.position_m(plan, encoder) if usable else None
             plan, held_back, stepped_n = eased(
                 plan, settled, x, law, coefficients, tick, self._params
             )
             flags |= held_back
         if plan.proxy.owner:
-            trusted = usable and (sure or flags & RESOLVED)
-            x = self._samples.position_m(plan, encoder) if trusted else None
             stiffness = settled.environment[STIFFNESS]
             plan = moved(plan, x, tick, self._params, stiffness, stepped_n)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):

@@ -181,7 +181,7 @@ def make_step(params: ServoParams) -> Step:
         settled, law, ledger, held, signs = state
         encoder, _, _, _, host, _, *others = sample
         doubted = (*settled.plan.doubted, encoder)
-        if len(doubted) > MOST_DOUBTED:
+        if len(doubted) - doubted.count(None) > MOST_DOUBTED:
             return faulted(state, sample, tick, _GLITCH, flags, answers)
         start, moved, *_ = law
         ahead = law

@@ -44,3 +44,26 @@ def test_a_struck_handle_is_not_a_glitch(duration_ms, gain_m_per_s):
         assert sum(waits) <= math.ceil(duration_ms) + 2
         assert not any(a and b and c for a, b, c in zip(waits, waits[1:], waits[2:], strict=False))
         assert not any(waits[-5:])
+
+
+@pytest.mark.parametrize("lost", [1, 4, 8])
+@pytest.mark.parametrize("duration_ms", [0.2, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("gain_m_per_s", [0.3, 1.0, 2.5, 4.6])
+def test_nor_is_one_of_which_samples_are_lost(duration_ms, gain_m_per_s, lost):
+    """Slots are lost at any time of the tap."""
+    handle = enabled(params_with(), {**FELT, Value.STIFFNESS: 20.0})
+    start = handle.tick, handle.state
+    for phase in (0.24, 0.48, 0.71):
+        path = tap(duration_ms * 1e-3, gain_m_per_s, 5e-3 + phase * 1e-3)
+        for at in range(2, 14):
+            handle.tick, handle.state = start
+            waits = []
+            for tick in (*range(at), *range(at + lost, 30)):
+                handle.tick = start[0] + tick
+                arrival = lost if tick == at + lost else 0
+                out = handle.fly(1, encoder=round(path[tick] / COUNT_M), arrival=arrival)
+                waits.append(bool(out[9] & Flag.DOUBTED))
+                assert not out[9] & Flag.GLITCH
+                assert handle.plan.state is State.ENABLED
+            assert sum(waits) <= math.ceil(duration_ms) + 3
+            assert not any(waits[-5:])

@@ -31,6 +31,18 @@ def test_one_bad_sample_changes_neither_push_nor_origin(undisturbed, tick, glitc
     assert np.abs(ticks["force_n"] - usual["force_n"])[both].max() < SEEN_N
 
 
+@pytest.mark.parametrize("lost", [1, 3])
+@pytest.mark.parametrize("tick", [300, 700, 1500, 2700])
+def test_nor_does_one_behind_lost_frames(undisturbed, tick, lost):
+    jump = InjectionParams("encoder_jump", tick=tick, value=4e-3 / COUNT_M)
+    ticks, origin = homed(InjectionParams("drop_in", tick=tick - lost, count=lost), jump)
+    usual, found = undisturbed
+    assert ticks["homed"][-1]
+    assert not ticks["fault"].any()
+    assert abs(origin - found) <= 4
+    assert np.abs(ticks["force_n"] - usual["force_n"])[tick - 10 : tick + 20].max() < SEEN_N
+
+
 def test_homing_goes_on_though_every_other_frame_is_lost():
     """Every sample then comes behind a lost one."""
     lost = (InjectionParams("drop_in", tick=tick) for tick in range(41, 2600, 2))

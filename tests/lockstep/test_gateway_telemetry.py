@@ -20,9 +20,10 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
+from hapticd.guard.delivered import Shortfall
 from hapticd.mailbox import layout
 from hapticd.mailbox.daemons import press_stop
-from hapticd.mailbox.layout import STAGES, Flag
+from hapticd.mailbox.layout import STAGES, Command, Flag, values_of
 from hapticd.model.params import InjectionParams
 from hapticd.protocol.telemetry import (
     COLUMNS,
@@ -32,6 +33,7 @@ from hapticd.protocol.telemetry import (
     wanted_by,
 )
 from hapticd.protocol.view import RECORD_DTYPE
+from hapticd.signal.delivered import Estimate
 
 
 class FeedRig(CommandServerRig):
@@ -70,6 +72,30 @@ def test_delay_that_is_told_is_steady_while_frames_of_three_are_lost(
             stand.fly(1)
             told.add(state_map(stand.view, stand.server.actors, stand.server.leases, 0)["delay_us"])
     assert told == {delay_us}
+
+
+def test_fault_of_damping_that_is_not_delivered_waits_for_a_place_in_the_ring(
+    rig: FeedRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found once, and requested once."""
+    found = iter([[Shortfall(Estimate(), False, True)]])
+    monkeypatch.setattr(rig.publisher._delivered, "take", lambda _: next(found, []))
+    mailbox = rig.view.mailbox
+    assert mailbox
+    rig.servo.tick(500)  # records of a whole block
+    while mailbox.post(Command.RESET, 1, 0, values_of({})) is not None:
+        pass
+    for _ in range(3):
+        rig.take("state")
+    assert list(found) == []
+    while rig.servo.mailbox.take():
+        pass
+    for _ in range(3):
+        rig.take("state")
+    command = rig.servo.mailbox.take()
+    assert command
+    assert command[1] == Command.FAULT
+    assert rig.servo.mailbox.take() is None
 
 
 def unpacked(payloads: list[bytes]) -> list[Any]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from support.boards import board_params
+from support.flight import enabled
 from support.models import COUNT_M, device_params, servo_params
 from support.winding_table import TABLE
 
@@ -81,3 +82,18 @@ def test_the_resistance_trim_never_steps_after_a_pause_of_the_host(pause_ms):
     most_ohm = slew * min(UNKNOWN_S, 1e-3 * pause_ms + 0.15)
     assert 0.0 < np.abs(np.diff(trims)).max() <= 1.01 * most_ohm
     assert np.abs(np.diff(counts)).max() <= 1.01 * most_ohm / TABLE.trim.per_count + 1
+
+
+def test_damping_that_is_asked_behind_lost_slots_has_not_missed_them():
+    """A ramp of K was running while 8 slots were lost."""
+    flight = enabled(servo_params())
+    flight.do(Command.SET, {Value.STIFFNESS: 100.0, Value.RAMP_S: 1.0})
+    flight.fly(10)
+    flight.tick += 8
+    on = {Value.ACTIVE_DAMPING: 2.0, Value.ACTIVE_DAMPING_ON: 1.0}
+    assert flight.do(Command.DAMPING, on, arrival=8) is Result.APPLIED
+    slew = 1e-3 * flight.params.safety.active_damping_slew_ns_per_m_s
+    assert flight.plan.added == pytest.approx(slew)
+    flight.tick += 8
+    flight.fly(arrival=8)
+    assert flight.plan.added == pytest.approx(10 * slew)  # it was on its way

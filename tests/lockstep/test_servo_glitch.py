@@ -230,7 +230,11 @@ def test_glitches_and_taps_are_replayed_bit_by_bit():
         InjectionParams("encoder_jump", tick=tick, value=value)
         for tick, value in ((900, 5000), (1200, -900), (1201, 800), (1500, 3000))
     )
-    with RecordedFlight(params_with(), board_params(injections=bad)) as flight:
+    behind_a_loss = (
+        InjectionParams("drop_in", tick=1350),
+        InjectionParams("encoder_jump", tick=1351, value=5000),
+    )
+    with RecordedFlight(params_with(), board_params(injections=bad + behind_a_loss)) as flight:
         flight.move()
         flight.fly(1700)
         requests = flight.stack.gateway.journal(0)[0]

@@ -13,7 +13,7 @@ from support.models import COUNT_M, device_params, servo_params
 from support.proxies import OWNER, RANGE_M, RATE_HZ, ProxyFlight, generous, with_range
 from support.recorded import RecordedFlight
 
-from hapticd.core.params import SafetyParams, ServoParams
+from hapticd.core.params import RealtimeParams, SafetyParams, ServoParams
 from hapticd.mailbox.layout import Command, Flag, State, Value
 from hapticd.protocol.ledger import book, samples
 from hapticd.protocol.view import as_records
@@ -111,6 +111,16 @@ def test_late_law_leaves_the_proxy_where_it_is() -> None:
     flight.follow(lambda _: 0.001, 400)  # it may come back
     assert flight.proxy_m == 0.001
     assert not held(flight)
+
+
+def test_shortest_timeout_is_a_tick_at_a_slow_rate() -> None:
+    params = with_range(200.0, SafetyParams(proxy_timeout_s=0.002, enable_ramp_s=0.1))
+    flight = ProxyFlight(replace(params, realtime=RealtimeParams(mode="off", rate_hz=240.0)))
+    flight.follow(lambda _: 0.001, 40)
+    assert flight.proxy_m == pytest.approx(0.001)
+    assert not flight.plan.proxy.held
+    flight.fly(2)
+    assert flight.plan.proxy.held
 
 
 def test_law_that_dies_on_the_way_leaves_the_proxy_on_the_way() -> None:
@@ -366,7 +376,7 @@ def test_proxy_that_begins_again_has_no_more_energy_than_before(way: str) -> Non
 
 
 def test_store_is_not_charged_by_a_rise_of_the_stiffness() -> None:
-    """What a ramp adds to the spring is not energy that the law took from the hand."""
+    """A rise ends the credit from before it. What the law takes after it counts in full."""
     safety = SafetyParams(proxy_energy_j=0.1, proxy_power_w=0.0)
     flight = ProxyFlight(with_range(200.0, safety), mass_kg=1e6)
     flight.follow(lambda _: 0.01, 60)

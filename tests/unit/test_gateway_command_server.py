@@ -303,6 +303,23 @@ def test_force_that_was_not_answered_is_taken_back(
     assert [one and one[1] for one in posted] == expected
 
 
+def test_client_that_leaves_does_not_fill_the_ring_with_what_undoes_its_commands(
+    rig: CommandServerRig,
+) -> None:
+    rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 8)
+    rig.ask(cmd="enable")
+    assert rig.view.mailbox
+    rig.servo.deaf = True
+    rig.send(*[packed(cmd="perturb", action="start") for _ in range(56)])
+    rig.send(packed(cmd="home"))
+    assert rig.view.mailbox.backlog == 56
+    rig.server.leave(b"a")
+    assert rig.view.mailbox.backlog == 57
+    posted = [rig.servo.mailbox.take() for _ in range(57)]
+    kinds = [one and one[1] for one in posted]
+    assert kinds == [Command.WITHDRAWN] * 56 + [Command.PERTURB_STOP]
+
+
 @pytest.mark.parametrize("request_", [{"cmd": "disable"}, {"cmd": "set", "K": 0, "B": 0, "M": 0}])
 def test_what_ends_force_is_obeyed_however_late(
     rig: CommandServerRig, request_: dict[str, object]
