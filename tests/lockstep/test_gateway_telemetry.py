@@ -21,6 +21,7 @@ from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
 from hapticd.guard.delivered import Shortfall
+from hapticd.guard.delivered_estimate import Estimate
 from hapticd.mailbox import layout
 from hapticd.mailbox.daemons import press_stop
 from hapticd.mailbox.layout import STAGES, Command, Flag, values_of
@@ -33,7 +34,6 @@ from hapticd.protocol.telemetry import (
     wanted_by,
 )
 from hapticd.protocol.view import RECORD_DTYPE
-from hapticd.signal.delivered import Estimate
 
 
 class FeedRig(CommandServerRig):
