@@ -17,7 +17,7 @@ from hapticd.core.arrays import Floats
 from hapticd.core.units import NS_PER_US
 from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
-from hapticd.studies.felt import played
+from hapticd.studies.port_energy import played
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.parts import (
     WINDOW,

@@ -14,6 +14,5 @@ request, `run_...` simulates and returns numbers.
                 their price
     port_energy run_port_energy: the same by the energy given out in passive hands, also for laws
                 that are not linear
-    felt        felt impedance and noise at rest of such laws
     report      figures and tables of a scene; `report_methods` those of the other studies
 """

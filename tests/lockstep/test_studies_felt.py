@@ -12,7 +12,7 @@ from hapticd.model.effects import Coulomb, Encoder
 from hapticd.model.scene import DampingStep
 from hapticd.settings.scene import load_scene
 from hapticd.studies import remedies
-from hapticd.studies.felt import felt, noise_at_rest, played
+from hapticd.studies.port_energy import felt, noise_at_rest, played
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.parts import (
     foaw_part,
