@@ -19,15 +19,7 @@ from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
 from hapticd.studies.port_energy import played
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.engine.parts import (
-    WINDOW,
-    LawPart,
-    foaw_part,
-    held_observer_part,
-    levant_part,
-    observer_part,
-    tank_part,
-)
+from hapticd.zwidth.engine.parts import WINDOW, LawPart
 from hapticd.zwidth.sources import display
 
 TARGETS = targets.of("law_parts")
@@ -40,12 +32,12 @@ ASKED = (100.0, 1.0)  # K, B
 def parts(count_m: float, rate_hz: float) -> dict[str, LawPart]:
     """Return the parts by the names of their figures."""
     return {
-        "law_foaw": foaw_part(count_m, rate_hz),
-        "law_levant": levant_part(100.0, rate_hz),
-        "law_popc": observer_part(),
-        "law_popc_held": held_observer_part(),
-        "law_popc_window": observer_part(WINDOW),
-        "law_tank": tank_part(1e-3, 0.1, rate_hz),
+        "law_foaw": LawPart.foaw(count_m, rate_hz),
+        "law_levant": LawPart.levant(100.0, rate_hz),
+        "law_popc": LawPart.observer(),
+        "law_popc_held": LawPart.held_observer(),
+        "law_popc_window": LawPart.observer(WINDOW),
+        "law_tank": LawPart.tank(1e-3, 0.1, rate_hz),
     }
 
 

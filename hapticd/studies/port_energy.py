@@ -54,17 +54,7 @@ from hapticd.model.scene import Scene
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.studies.remedies import REMEDIES, RENDERED_HZ, RemediesParams, Row, treated
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.engine.parts import (
-    CONTROLLERS,
-    ESTIMATORS,
-    WINDOW,
-    LawPart,
-    foaw_part,
-    held_observer_part,
-    levant_part,
-    observer_part,
-    tank_part,
-)
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS, WINDOW, LawPart
 from hapticd.zwidth.sources import NOISE, SUBSTEPS, display
 from hapticd.zwidth.store import Progress, Steps, TrialStore, fingerprint, silent, to_json
 
@@ -95,9 +85,9 @@ ACCELERATIONS = np.array([1.0, 0.25, 4.0])  # C of Levant over that of the push
 LEVELS = np.array([1.0, 0.1, 10.0])  # of a tank over the energy of the push in the first row's K
 FOAW = "FOAW"
 OBSERVERS = {
-    "PO/PC": observer_part(),
-    "PO/PC, held force": held_observer_part(),
-    "PO/PC, window": observer_part(WINDOW),
+    "PO/PC": LawPart.observer(),
+    "PO/PC, held force": LawPart.held_observer(),
+    "PO/PC, window": LawPart.observer(WINDOW),
 }
 TANK = {"tank": LEVELS[:1], "tank, best level": LEVELS}
 LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
@@ -260,14 +250,14 @@ def laws(name: str, scene: Scene, first: Row) -> list[tuple[float, Parts]]:
     model = display(scene).model
     if name == FOAW:
         count_m = model.encoder_quantum_m or 0.0
-        return [(count_m, (foaw_part(count_m, model.rate_hz),))]
+        return [(count_m, (LawPart.foaw(count_m, model.rate_hz),))]
     if name in LEVANT:
         pushed = LEVANT[name] * pushed_n(scene) / model.mass_kg
-        return [(float(c), (levant_part(float(c), model.rate_hz),)) for c in pushed]
+        return [(float(c), (LawPart.levant(float(c), model.rate_hz),)) for c in pushed]
     if name in TANK:
         levels = TANK[name] * pushed_n(scene) ** 2 / (2.0 * first.stiffness_n_per_m)
         refill = 0.5 * first.stiffness_n_per_m / model.rate_hz  # pays for K without delay
-        return [(float(one), (tank_part(float(one), refill, model.rate_hz),)) for one in levels]
+        return [(float(one), (LawPart.tank(float(one), refill, model.rate_hz),)) for one in levels]
     return [(nan, (OBSERVERS[name],) if name in OBSERVERS else ())]
 
 

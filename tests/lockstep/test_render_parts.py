@@ -13,18 +13,7 @@ from support.models import environment_tuple
 from hapticd.core.environment import Environment
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.engine.parts import (
-    CONTROLLERS,
-    ESTIMATORS,
-    PERIODS,
-    WINDOW,
-    LawPart,
-    foaw_part,
-    held_observer_part,
-    levant_part,
-    observer_part,
-    tank_part,
-)
+from hapticd.zwidth.engine.parts import CONTROLLERS, ESTIMATORS, PERIODS, WINDOW, LawPart
 
 RATE_HZ = 1000.0
 COUNT_M = 1e-6
@@ -68,7 +57,7 @@ def test_window_is_the_longest_that_misses_no_sample():
     positions = counted(np.cumsum(rng.normal(0.0, 3e-7, 300)) + SINE_M[:300])
     positions -= positions[0]
     bound = 1.0001 * COUNT_M  # off the grid: rounding decides nothing
-    found = velocities(foaw_part(bound, RATE_HZ), positions)
+    found = velocities(LawPart.foaw(bound, RATE_HZ), positions)
     expected = [longest_window(positions, at, bound) for at in range(300)]
     assert found == pytest.approx([float(slope) * RATE_HZ for slope, _ in expected], abs=1e-12)
     lengths = {n for _, n in expected}
@@ -77,7 +66,7 @@ def test_window_is_the_longest_that_misses_no_sample():
 
 
 def test_window_gives_the_slope_of_a_ramp():
-    found = velocities(foaw_part(COUNT_M, RATE_HZ), 0.05 * TIME_S)
+    found = velocities(LawPart.foaw(COUNT_M, RATE_HZ), 0.05 * TIME_S)
     assert found[PERIODS:] == pytest.approx(0.05)
 
 
@@ -85,14 +74,14 @@ def test_window_is_finer_than_a_difference_where_motion_is_slow():
     """A ramp of a third of a count a period: the difference is 0 or a whole count."""
     slow_m_per_s = COUNT_M * RATE_HZ / 3.0
     positions = counted(slow_m_per_s * TIME_S)
-    found = velocities(foaw_part(COUNT_M, RATE_HZ), positions)[PERIODS:]
+    found = velocities(LawPart.foaw(COUNT_M, RATE_HZ), positions)[PERIODS:]
     assert abs(found - slow_m_per_s).max() <= COUNT_M * RATE_HZ / PERIODS
     assert abs(np.diff(positions) * RATE_HZ - slow_m_per_s).max() > 0.6 * COUNT_M * RATE_HZ
 
 
 def test_window_shrinks_to_a_difference_when_the_velocity_jumps():
     positions = np.where(TIME_S < 1.0, 0.0, 0.1 * (TIME_S - 1.0))
-    found = velocities(foaw_part(COUNT_M, RATE_HZ), positions)
+    found = velocities(LawPart.foaw(COUNT_M, RATE_HZ), positions)
     assert found[1000] == 0.0
     assert found[1001] == pytest.approx(0.1)
 
@@ -100,7 +89,7 @@ def test_window_shrinks_to_a_difference_when_the_velocity_jumps():
 def test_differentiator_follows_the_equations_of_its_author():
     """Euler's rule on Levant's equations, with l = 1.5 sqrt C and a = 1.1 C."""
     c = 2.0
-    found = velocities(levant_part(c, RATE_HZ), SINE_M[:200])
+    found = velocities(LawPart.levant(c, RATE_HZ), SINE_M[:200])
     z = u = 0.0
     expected = []
     for x in SINE_M[:200]:
@@ -111,9 +100,9 @@ def test_differentiator_follows_the_equations_of_its_author():
 
 
 def test_differentiator_is_exact_but_for_sampling():
-    found = velocities(levant_part(1.2 * FASTEST_M_PER_S2, RATE_HZ), SINE_M)
+    found = velocities(LawPart.levant(1.2 * FASTEST_M_PER_S2, RATE_HZ), SINE_M)
     assert abs(found - SINE_M_PER_S)[SETTLED].max() < 0.05 * SINE_M_PER_S.max()
-    slower = velocities(levant_part(0.2 * FASTEST_M_PER_S2, RATE_HZ), SINE_M)
+    slower = velocities(LawPart.levant(0.2 * FASTEST_M_PER_S2, RATE_HZ), SINE_M)
     assert abs(slower - SINE_M_PER_S)[SETTLED].max() > 0.5 * SINE_M_PER_S.max()
 
 
@@ -123,7 +112,7 @@ def test_error_of_the_differentiator_grows_with_the_root_of_the_noise(counts):
     coarse_m = counts * COUNT_M
     c = 1.2 * FASTEST_M_PER_S2
     positions = np.floor(SINE_M / coarse_m + 0.5) * coarse_m
-    found = velocities(levant_part(c, RATE_HZ), positions)
+    found = velocities(LawPart.levant(c, RATE_HZ), positions)
     error = abs(found - SINE_M_PER_S)[SETTLED].max()
     assert 0.5 * (c * 0.5 * coarse_m) ** 0.5 < error < 6.0 * (c * 0.5 * coarse_m) ** 0.5
 
@@ -155,27 +144,29 @@ def test_observer_books_force_times_displacement(limit):
     def law(place):
         return float(np.clip(generator(place), -limit, limit))
 
-    forces, energies = controlled(observer_part(), SINE_M, law, limit)
+    forces, energies = controlled(LawPart.observer(), SINE_M, law, limit)
     moved = np.diff(SINE_M, prepend=SINE_M[0])
     assert energies == pytest.approx(-np.cumsum(forces * moved), abs=1e-15)
     assert abs(forces).max() <= limit
 
 
 def test_observer_of_the_held_force_books_it_with_the_displacement_to_come():
-    forces, energies = controlled(held_observer_part(), SINE_M, generator)
+    forces, energies = controlled(LawPart.held_observer(), SINE_M, generator)
     assert energies[1:] == pytest.approx(-np.cumsum(forces[:-1] * np.diff(SINE_M)), abs=1e-15)
 
 
 def test_controller_takes_back_what_the_environment_gives():
-    _, energies = controlled(observer_part(), SINE_M, generator)
+    _, energies = controlled(LawPart.observer(), SINE_M, generator)
     given = np.cumsum([generator(n) for n in range(2000)] * np.diff(SINE_M, prepend=0.0))
     assert given[-1] > 1e-5
     assert energies.min() > -1e-15
-    _, taken = controlled(held_observer_part(), SINE_M, generator)
+    _, taken = controlled(LawPart.held_observer(), SINE_M, generator)
     assert taken[-1] > -0.05 * given[-1]
 
 
-@pytest.mark.parametrize("part", [observer_part(), held_observer_part()], ids=lambda p: p.kind)
+@pytest.mark.parametrize(
+    "part", [LawPart.observer(), LawPart.held_observer()], ids=lambda p: p.kind
+)
 def test_controller_leaves_a_damper_alone(part):
     forces, _ = controlled(part, SINE_M, lambda n: -0.5 * SINE_M_PER_S[n])
     assert forces == pytest.approx(-0.5 * SINE_M_PER_S)
@@ -190,9 +181,9 @@ def test_observer_sees_the_leak_of_a_held_spring_only_by_the_held_force():
     before, after = np.diff(SINE_M) * springs[:-1], np.diff(SINE_M) * springs[1:]
     assert before.sum() > 1e-6  # given out
     assert after.sum() < -1e-6  # booked as taken up
-    forces, _ = controlled(observer_part(), SINE_M, lambda n: springs[n])
+    forces, _ = controlled(LawPart.observer(), SINE_M, lambda n: springs[n])
     assert forces == pytest.approx(springs)
-    held, _ = controlled(held_observer_part(), SINE_M, lambda n: springs[n])
+    held, _ = controlled(LawPart.held_observer(), SINE_M, lambda n: springs[n])
     assert abs(held - springs).max() > 1e-4
 
 
@@ -206,7 +197,7 @@ def test_a_window_forgets_what_was_taken_up_before_it():
     later = slice(1000 + int(WINDOW), None)
     given = {}
     for window in (np.inf, WINDOW):
-        forces, _ = controlled(observer_part(window), SINE_M, damped_then_driven)
+        forces, _ = controlled(LawPart.observer(window), SINE_M, damped_then_driven)
         given[window] = float((forces * moved)[later].sum())
     assert given[np.inf] > 1e-5
     assert given[WINDOW] < 1e-15
@@ -216,7 +207,7 @@ def test_a_window_forgets_what_was_taken_up_before_it():
 
 
 def test_tank_books_the_held_force_and_is_never_deep_in_debt():
-    forces, energies = controlled(tank_part(1e-5, 0.1, RATE_HZ), SINE_M, generator)
+    forces, energies = controlled(LawPart.tank(1e-5, 0.1, RATE_HZ), SINE_M, generator)
     taken = -np.cumsum(forces[:-1] * np.diff(SINE_M))
     assert energies[1:] == pytest.approx(taken, abs=1e-15)
     given = np.cumsum([generator(n) for n in range(2000)] * np.diff(SINE_M, prepend=0.0))
@@ -224,7 +215,7 @@ def test_tank_books_the_held_force_and_is_never_deep_in_debt():
 
 
 def test_an_empty_tank_lets_no_force_through_that_would_give_energy():
-    forces, _ = controlled(tank_part(1e-9, 0.0, RATE_HZ), SINE_M, generator)
+    forces, _ = controlled(LawPart.tank(1e-9, 0.0, RATE_HZ), SINE_M, generator)
     moved = np.diff(SINE_M, prepend=0.0)
     assert (forces * moved).max() < 1e-15
 
@@ -232,14 +223,14 @@ def test_an_empty_tank_lets_no_force_through_that_would_give_energy():
 def test_tank_lets_a_spring_give_back_what_it_has_taken():
     there_and_back = 0.5e-3 * (1.0 - np.cos(2.0 * np.pi * 0.5 * TIME_S))
     springs = -100.0 * there_and_back
-    forces, _ = controlled(tank_part(1e-12, 0.0, RATE_HZ), there_and_back, lambda n: springs[n])
+    forces, _ = controlled(LawPart.tank(1e-12, 0.0, RATE_HZ), there_and_back, lambda n: springs[n])
     full = there_and_back > 0.05e-3
     assert forces[full] == pytest.approx(springs[full])
 
 
 def test_tank_is_filled_to_its_level_by_a_damper_that_fades():
     level_j = 1e-6
-    forces, energies = controlled(tank_part(level_j, 0.2, RATE_HZ), SINE_M, lambda n: 0.0)
+    forces, energies = controlled(LawPart.tank(level_j, 0.2, RATE_HZ), SINE_M, lambda n: 0.0)
     velocity = np.diff(SINE_M, prepend=0.0) * RATE_HZ
     assert forces[1] == pytest.approx(-0.2 * velocity[1])
     assert energies[-1] == pytest.approx(level_j, rel=1e-3)
@@ -249,11 +240,11 @@ def test_tank_is_filled_to_its_level_by_a_damper_that_fades():
 # --- in a kernel ----------------------------------------------------------------------------------
 
 PARTS = [
-    foaw_part(0.5e-6, RATE_HZ),
-    levant_part(50.0, RATE_HZ),
-    observer_part(WINDOW),
-    held_observer_part(),
-    tank_part(1e-5, 0.1, RATE_HZ),
+    LawPart.foaw(0.5e-6, RATE_HZ),
+    LawPart.levant(50.0, RATE_HZ),
+    LawPart.observer(WINDOW),
+    LawPart.held_observer(),
+    LawPart.tank(1e-5, 0.1, RATE_HZ),
 ]
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
 

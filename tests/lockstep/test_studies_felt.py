@@ -14,24 +14,18 @@ from hapticd.settings.scene import load_scene
 from hapticd.studies import remedies
 from hapticd.studies.port_energy import felt, noise_at_rest, played
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.engine.parts import (
-    foaw_part,
-    held_observer_part,
-    levant_part,
-    observer_part,
-    tank_part,
-)
+from hapticd.zwidth.engine.parts import LawPart
 
 ASKED = (300.0, 0.4)
 COUNT_M = 1e-6
 RATE_HZ = 1000.0
 LEVEL_NS_PER_M = 0.87
 PARTS = [
-    foaw_part(COUNT_M, RATE_HZ),
-    levant_part(50.0, RATE_HZ),
-    observer_part(),
-    held_observer_part(),
-    tank_part(1e-5, 0.1, RATE_HZ),
+    LawPart.foaw(COUNT_M, RATE_HZ),
+    LawPart.levant(50.0, RATE_HZ),
+    LawPart.observer(),
+    LawPart.held_observer(),
+    LawPart.tank(1e-5, 0.1, RATE_HZ),
 ]
 
 
@@ -64,7 +58,9 @@ def test_noise_of_a_linear_law_is_that_of_the_theory():
 def test_noise_of_an_observer_of_the_held_force_is_many_times_that_of_the_law():
     """Of a spring, which leaks in every step: a debt is divided by part of a count."""
     spring = (ASKED[0], 0.0)
-    quiet, loud = (noise_at_rest(bench(), parts, spring) for parts in ((), (held_observer_part(),)))
+    quiet, loud = (
+        noise_at_rest(bench(), parts, spring) for parts in ((), (LawPart.held_observer(),))
+    )
     assert loud > 10.0 * quiet
 
 

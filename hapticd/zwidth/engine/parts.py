@@ -50,7 +50,7 @@ of a wall stays with the filtered difference.
 
 from dataclasses import dataclass
 from math import inf, sqrt
-from typing import Final
+from typing import Final, Self
 
 from hapticd.render.law import clamp
 
@@ -59,11 +59,6 @@ __all__ = [
     "ESTIMATORS",
     "WINDOW",
     "LawPart",
-    "foaw_part",
-    "held_observer_part",
-    "levant_part",
-    "observer_part",
-    "tank_part",
 ]
 
 PERIODS: Final = 15  # in the longest window of FOAW
@@ -85,6 +80,34 @@ class LawPart:
     def at_rest(self, x: float) -> Memory:
         """Return its memory for a device that has always been at rest at `x` [m]."""
         return (x,) * self.positions + self.others
+
+    @classmethod
+    def foaw(cls, bound_m: float, rate_hz: float) -> Self:
+        """Return FOAW for noise of at most that magnitude, an encoder's count."""
+        return cls("foaw", (bound_m, rate_hz), PERIODS)
+
+    @classmethod
+    def levant(cls, acceleration_m_per_s2: float, rate_hz: float) -> Self:
+        """Return Levant's differentiator for a motion of at most that acceleration, C."""
+        gain = 1.5 * sqrt(acceleration_m_per_s2)
+        return cls("levant", (gain, 1.1 * acceleration_m_per_s2, 1.0 / rate_hz), 1, (0.0,))
+
+    @classmethod
+    def observer(cls, window: float = inf) -> Self:
+        """Return PO/PC for an environment that has absorbed no energy, with windows of so many
+        ticks.
+        """
+        return cls("observer", (window,), 1, (0.0, 0.0))
+
+    @classmethod
+    def held_observer(cls) -> Self:
+        """Return PO/PC that books the held force."""
+        return cls("held_observer", (), 1, (0.0, 0.0))
+
+    @classmethod
+    def tank(cls, level_j: float, damping_ns_per_m: float, rate_hz: float) -> Self:
+        """Return an empty tank of that level, whose damper has that damping while it is empty."""
+        return cls("tank", (level_j, damping_ns_per_m * rate_hz / level_j), 1, (0.0, 0.0))
 
 
 def foaw(x: float, memory: Memory, numbers: tuple[float, ...]) -> Estimate:
@@ -173,34 +196,6 @@ def tank(
     if force * moved > left:
         force = left / moved
     return force, (x, energy, force)
-
-
-def foaw_part(bound_m: float, rate_hz: float) -> LawPart:
-    """Return FOAW for noise of at most that magnitude, an encoder's count."""
-    return LawPart("foaw", (bound_m, rate_hz), PERIODS)
-
-
-def levant_part(acceleration_m_per_s2: float, rate_hz: float) -> LawPart:
-    """Return Levant's differentiator for a motion of at most that acceleration, C."""
-    gain = 1.5 * sqrt(acceleration_m_per_s2)
-    return LawPart("levant", (gain, 1.1 * acceleration_m_per_s2, 1.0 / rate_hz), 1, (0.0,))
-
-
-def observer_part(window: float = inf) -> LawPart:
-    """Return PO/PC for an environment that has absorbed no energy, with windows of so many
-    ticks.
-    """
-    return LawPart("observer", (window,), 1, (0.0, 0.0))
-
-
-def held_observer_part() -> LawPart:
-    """Return PO/PC that books the held force."""
-    return LawPart("held_observer", (), 1, (0.0, 0.0))
-
-
-def tank_part(level_j: float, damping_ns_per_m: float, rate_hz: float) -> LawPart:
-    """Return an empty tank of that level, whose damper has that damping while it is empty."""
-    return LawPart("tank", (level_j, damping_ns_per_m * rate_hz / level_j), 1, (0.0, 0.0))
 
 
 ESTIMATORS: Final = {"foaw": foaw, "levant": levant}
