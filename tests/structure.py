@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hapticd"
 MOTOR = ("core", "render", "mailbox", "usb", "settings", "protocol", "guard", "servo", "gateway")
 LIMITS = {
-    "files": 254,
+    "files": 253,
     "statements": 35_500,
-    "names": 752,
+    "names": 747,
     "private_names": 0,
     "longest_function": 120,
 }

@@ -302,7 +302,6 @@ class CommandServer:
                 raise CommandError("busy", "proxy: the servo has not taken the positions before")
             kind, at_tick, values = posting(request, 0)
             mailbox.post(kind, actor, at_tick, values)
-            self._view.proxied_slots.append(self._view.record.get("slot", -1))
         return coupling(self._view.record, self._view.params.realtime.rate_hz)
 
     def guard_summary(self) -> dict[str, Any]:

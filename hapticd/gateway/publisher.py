@@ -155,7 +155,6 @@ class Transitions:
         self._last = (0, 0)
         self._changes = 0  # of the environment, as last seen
         self._law = 0  # actor whose law moves the proxy
-        self._longest_slots = view.params.safety.proxy_timeout_s * view.params.realtime.rate_hz
         self._stayed_ns = -CALM_NS  # time of the last record in which the proxy stays
 
     def follow(self, block: RingBlock) -> None:
@@ -194,39 +193,29 @@ class Transitions:
         self._changes = int(changes[-1])
 
     def _follow_proxy(self, records: Records) -> None:
-        """Note that a law begins to move the proxy, and why it ends. Within CALM_NS after a stay
-        of the proxy none begins, so that a law at its limit does not fill the journal.
+        """Note that a law begins to move the proxy, and why it ends.
+
+        For CALM_NS after the proxy has stayed none begins, so that a law at its limit does not fill
+        the journal.
         """
         stays = records[(records["flags"] & Flag.PROXY_HELD) != 0]
         at = stays[0] if len(stays) else records[-1]
-        led = at["lease_control"] if at["state"] == State.ENABLED else 0
-        ends = len(stays) > 0 or not led
-        seen = led and (at["proxy_m"] or ends) and at["time_ns"] - self._stayed_ns > CALM_NS
-        self._stayed_ns = int(stays[-1]["time_ns"]) if len(stays) else self._stayed_ns
-        if ends if self._law else seen:
-            self._law = self._law or int(led)
+        calm = at["time_ns"] - self._stayed_ns > CALM_NS
+        if len(stays):
+            self._stayed_ns = int(stays[-1]["time_ns"])
+        begins = calm and at["state"] == State.ENABLED and (at["proxy_m"] or len(stays))
+        law = self._law or (int(at["lease_control"]) if begins else 0)
+        end = _end_of_law(at, law)
+        if law and (end or not self._law):
             self._journal.note(
-                self._end_of_law(at) if ends else "proxy_taken",
+                end or "proxy_taken",
                 unix_ns=int(at["time_ns"]) + self._view.unix_offset_ns,
                 tick=int(at["tick"]),
-                actor=self._law,
-                name=self._actors.name(self._law),
+                actor=law,
+                name=self._actors.name(law),
                 position_m=float(at["proxy_m"]),
             )
-            self._law = 0 if ends else self._law
-
-    def _end_of_law(self, at: np.void) -> EventCode:
-        """Return why the law does not move the proxy in the record `at`."""
-        asked = max((one for one in self._view.proxied_slots if one <= at["slot"]), default=-1)
-        return (
-            "proxy_stopped"
-            if at["state"] != State.ENABLED
-            else "proxy_lease"
-            if at["lease_control"] != self._law
-            else "proxy_silent"
-            if at["slot"] - asked > self._longest_slots
-            else "proxy_energy"
-        )
+        self._law = 0 if end else law
 
     def _note(self, record: np.void, before: int) -> None:
         fault = BY_NUMBER.get(int(record["fault"]), FAULTS[0])
@@ -242,6 +231,15 @@ class Transitions:
             actor=actor,
             name=self._actors.name(actor),
         )
+
+
+def _end_of_law(at: np.void, law: int) -> EventCode | None:
+    """Return why that actor's law does not move the proxy in the record `at`; None if it does."""
+    if at["state"] != State.ENABLED:
+        return "proxy_stopped"
+    if at["lease_control"] != law:
+        return "proxy_lease"
+    return "proxy_held" if at["flags"] & Flag.PROXY_HELD else None
 
 
 def _name(number: int) -> str:

@@ -9,7 +9,6 @@ again ten times a second. A servo with another configuration is not served, beca
 differ. `life` counts the opened mailboxes.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -119,7 +118,6 @@ class ServoView:
         self._head = 0
         self._first_head = -1  # at the first read of this life; -1: not yet read
         self._promised = 0
-        self.proxied_slots = deque([-1], maxlen=64)  # newest ones when clients moved the proxy
         self.led_by = 0  # actor whose request led to the present state; 0: none, or unknown
 
     @property

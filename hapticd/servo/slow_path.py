@@ -256,16 +256,16 @@ class SlowPath:
             )
             flags |= held_back
         if plan.proxy.owner:
-            stiffness = settled.environment[STIFFNESS]
-            plan = moved(plan, x, tick, self._params, stiffness, stepped_n)
+            plan = moved(plan, x, tick, self._params, settled.environment[STIFFNESS], stepped_n)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
-        params = self._params
         environment = self._environment(plan, tick)
         sent_flags = out_flags(plan, tick)
-        settled = tick_constants(plan, tick, params, environment, coefficients, sent_flags, host)
+        settled = tick_constants(
+            plan, tick, self._params, environment, coefficients, sent_flags, host
+        )
         # a moving proxy is not a ramp
-        wake = wake_tick(plan, tick, params) if plan.proxy.owner else settled.wake_tick
+        wake = wake_tick(plan, tick, self._params) if plan.proxy.owner else settled.wake_tick
         flags |= settled.flags | _pending_flags(plan, wake, tick)
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
