@@ -114,6 +114,18 @@ def test_a_client_that_fails_ends_the_stages_after_the_one_with_the_servo(
     assert not flight.fly(500)["stiffness_n_per_m"].any()
 
 
+def test_a_client_that_fails_ends_its_stages_of_what_it_has_not_leased(flight: Flight) -> None:
+    """The servo has taken the stage of the active damping, and no lease ends that of K."""
+    enabled(flight, "refuse")
+    assert flight.ask(cmd="lease", what="active_damping", at_end="hold")["ok"]
+    flight.fly(5)
+    send(flight, {"cmd": "set", **STIFF, "active_damping": LEVEL_NS_PER_M})
+    until_posted(flight)
+    flight.fly(5)
+    send(flight, {"cmd": "lease", "what": "active_damping", "action": "fail"})
+    assert not flight.fly(500)["stiffness_n_per_m"].any()
+
+
 def test_an_end_of_a_former_gateway_brings_nothing_back_later(flight: Flight) -> None:
     """It would weaken what is rendered when the gateway is replaced, but not at its tick."""
     enabled(flight, "refuse")
