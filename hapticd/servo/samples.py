@@ -2,8 +2,8 @@
 
 Replacement (`Samples`). The law's filters see every period. Up to `missing_frames_limit` lost
 samples are replaced by positions on the straight line between the samples on either side of them.
-The last force was held meanwhile. A sample after lost ones is doubted if it lies further from the
-straight continuation than one bend that is accepted at once. The module also keeps the state of the
+The last force was held meanwhile. The first sample after lost ones is doubted if its distance from
+the straight continuation exceeds the limit of one bend. The module also keeps the state of the
 origin after lost samples.
 
 Glitch of the encoder, or true motion (`verdict`). A sample bends the motion by its second
@@ -21,8 +21,9 @@ A glitch ends soon, so its bends change sign: +g, -2g, +g. A tap bends one way f
 lasts, whatever its strength; the speed limit bounds its total effect. A position that jumps and
 stays bends by +g, -g: no handle moves like that either, and the doubt is not resolved.
 
-Lost samples among doubted ones count as on the line between their neighbours. Doubted samples are
-lost too if a sample after a gap continues the motion from before them.
+Lost samples before a doubted one count as on the line between their neighbours. Doubted samples
+before lost ones count as lost. The sample after the gap is not judged with them: the gap hides how
+motion bends.
 
 Limitations: a handle that is so light or struck so hard that it reverses within a period, and a bad
 sample that hides the acceleration of a handle during several lost ones.
@@ -151,29 +152,31 @@ class Samples:
         self, plan: Plan, law: LawState, sample: Sample, tick: int
     ) -> tuple[Plan, tuple[float, ...], int]:
         """Return `plan` for a usable sample, the positions [m] in place of doubted or lost samples
-        before it, and record flags. Flag DOUBTED: the sample is doubted.
+        before it, and record flags. With flag DOUBTED the sample is in `plan.doubted`.
         """
         encoder, _, _, arrival, _, _, _, _, _ = sample
-        believing = plan._replace(doubted=()) if plan.doubted else plan
+        trusting = plan._replace(doubted=()) if plan.doubted else plan
         if arrival > self._params.safety.missing_frames_limit:
-            return believing, (), 0
+            return trusting, (), 0
         waiting = plan.doubted + (None,) * arrival
         if not waiting:
             return plan, (), 0
         x = self.position_m(plan, encoder)
         straight = _line(law[0], x, len(waiting))
         if arrival and self.believable(plan, law, encoder, arrival):
-            return believing, straight, int(Flag.INTERPOLATED)
+            return trusting, straight, int(Flag.INTERPOLATED)
+        if arrival:  # the next sample decides about this one; those before the gap are lost
+            return plan._replace(doubted=(None,) * len(waiting)), (), int(Flag.DOUBTED)
         seen = [None if one is None else self.position_m(plan, one) for one in waiting]
-        *positions, _ = _without_gaps(law[0], [*seen, x])
+        positions = _without_gaps(law[0], [*seen, x])[:-1]
         found = verdict(law, positions, x, self._bend_m)
-        if found is GlitchVerdict.OPEN or (arrival and not plan.doubted):
-            return plan._replace(doubted=waiting), (), int(Flag.DOUBTED)
+        if found is GlitchVerdict.OPEN:
+            return plan, (), int(Flag.DOUBTED)
         if found is GlitchVerdict.MOVED:
-            return believing, tuple(positions), int(Flag.BELIEVED)
+            return trusting, tuple(positions), int(Flag.BELIEVED)
         recent = tuple(one for one in plan.glitches if tick - one < self._rate_hz)
-        bad = len(waiting) - waiting.count(None)
-        return believing._replace(glitches=(*recent, *bad * (tick,))), straight, int(Flag.GLITCH)
+        bad = (tick,) * (len(waiting) - waiting.count(None))
+        return trusting._replace(glitches=recent + bad), straight, int(Flag.GLITCH)
 
     def believable(self, plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
         """Return whether a sample continues those before it, over a gap of lost ones too."""

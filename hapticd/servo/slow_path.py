@@ -75,7 +75,7 @@ from hapticd.servo.safety import (
     followed,
     push_ended,
 )
-from hapticd.servo.samples import Samples
+from hapticd.servo.samples import MOST_DOUBTED, Samples
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import OutFlag, StatusBit
@@ -240,9 +240,10 @@ class SlowPath:
             ledger = unknown_before(ledger)
             plan, flags = self._begun_anew(before, plan, tick)
         plan = controlled(plan, ledger[EXCESS], (last_tick, tick), self._params, self._own)
-        # damping that starts in this tick has not missed the lost slots
-        rising = added_target(before, tick, self._params) != before.added
-        plan = advance_added(plan, tick, elapsed if rising else 1, self._params)
+        # damping that begins to change in this tick, or turns back, does not cover lost slots
+        aim = added_target(before, tick, self._params)
+        goes_on = before.added != aim == added_target(plan, tick, self._params)
+        plan = advance_added(plan, tick, elapsed if goes_on else 1, self._params)
         plan = compensated(plan, sample, acting_n, tick, self._params)
         if plan.filters != before.filters:
             renewed = coefficients_of(plan, self._rate_hz)
@@ -401,8 +402,10 @@ class SlowPath:
         """Return whether the law must start at rest, because the motion before is unknown."""
         resetting = before.state in LATCHED and plan.state is State.DISABLED
         unwatched = plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE
+        most = self._params.safety.missing_frames_limit
         return (
-            arrival > self._params.safety.missing_frames_limit
+            arrival > most
+            or plan.doubted.count(None) > most + MOST_DOUBTED
             or plan.origin != before.origin
             or resetting
             or bool(unwatched)

@@ -97,3 +97,7 @@ def test_damping_that_is_asked_behind_lost_slots_has_not_missed_them():
     flight.tick += 8
     flight.fly(arrival=8)
     assert flight.plan.added == pytest.approx(10 * slew)  # it was on its way
+    flight.tick += 8
+    off = {Value.ACTIVE_DAMPING_ON: 0.0}
+    assert flight.do(Command.DAMPING, off, arrival=8) is Result.APPLIED
+    assert flight.plan.added == pytest.approx(9 * slew)  # it turns back

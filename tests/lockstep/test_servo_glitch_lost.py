@@ -120,14 +120,44 @@ def test_a_glitch_behind_lost_frames_over_the_wrap_of_the_encoder_is_the_same(lo
     assert passed(wrapped, path, AT, lost, True, first) == outs
 
 
-def test_a_frame_that_is_lost_behind_a_doubted_tap_ends_nothing():
-    """4.6 m/s in one tick, and the third frame after it is lost."""
-    path = [4.6e-3 * max(0, tick - 20) for tick in range(26)]
-    for lost in (1, 3):
-        flight, _ = begun(params_with())
-        outs = passed(flight, path, 21 + lost, lost, True)
+@pytest.mark.parametrize("lost", [1, 3])
+def test_a_frame_that_is_lost_behind_a_doubted_tap_ends_nothing(lost):
+    """4.6 m/s in one tick. The first sample of it arrives, the next ones are lost."""
+    path = [4.6e-3 * max(0, tick - 20) for tick in range(30)]
+    flight, _ = begun(params_with())
+    outs = passed(flight, path, 22 + lost, lost, True)
+    assert outs[21][9] & Flag.DOUBTED
+    assert flight.plan.state is State.ENABLED
+    assert not any(out[9] & Flag.GLITCH for out in outs.values())
+
+
+@pytest.mark.parametrize("slots", [False, True])
+@pytest.mark.parametrize("lost", [1, 2, 3, 5, 8])
+@pytest.mark.parametrize("speed_m_per_s", [0.0, 0.3, 1.2])  # up to 30 m/s^2
+def test_a_bad_sample_before_lost_frames_is_lost_with_them(lost, slots, speed_m_per_s):
+    flight, again = begun(params_with())
+    path = hand(speed_m_per_s)
+    at = AT + lost + 1
+    true = passed(flight, path, at, lost, slots)
+    for size_mm in (1.0, 2.0, 3.0, 4.0, -3.0):
+        again()
+        bad = [x + 1e-3 * size_mm * (tick == AT) for tick, x in enumerate(path)]
+        outs = passed(flight, bad, at, lost, slots)
+        assert outs[AT][9] & Flag.DOUBTED
         assert flight.plan.state is State.ENABLED
-        assert not any(out[9] & Flag.GLITCH for out in outs.values())
+        assert max(abs(outs[tick][8] - true[tick][8]) for tick in true if tick > at) < 1.0
+
+
+def test_an_encoder_that_is_bad_between_lost_frames_begins_anew_without_force():
+    flight, _ = begun(params_with())
+    for place in range(12):
+        flight.fly(arrival=-1)
+        flight.fly(encoder=8000 * (1 + place % 2), arrival=1)
+        if flight.out[9] & Flag.SEEDED:
+            break
+    assert flight.out[9] & Flag.SEEDED
+    assert place < 8
+    assert abs(flight.out[8]) < 0.1
 
 
 def test_checkpoint_carries_a_lost_frame_before_a_doubted_sample():
