@@ -1,15 +1,17 @@
-"""Shared by the examples: the connection to a daemon, or to the virtual board with its hand; and
-the guard's answer about a setting.
+"""Shared by the examples: the connection to a daemon or to the virtual board, and changes that the
+guard judges.
 """
 
 import argparse
+import time
 from collections.abc import Callable
 from typing import Any
 
 import hapticd
 from hapticd.client import Client, CommandError, Receipt
 
-ATTEMPTS = 100
+PATIENCE_S = 10.0  # while the guard has no verdict
+PAUSE_S = 0.1
 
 
 def arguments(description: str) -> argparse.ArgumentParser:
@@ -39,14 +41,19 @@ def connected_aio(asked: argparse.Namespace, name: str) -> hapticd.AsyncClient:
 
 
 def judged(change: Callable[[], Receipt]) -> Receipt:
-    """Make a change, and repeat it while the guard has no verdict in time on a busy computer."""
-    for _ in range(ATTEMPTS):
+    """Make a change, and repeat it while the guard has no verdict in time on a busy computer.
+
+    CommandError if it is refused, or if there is no verdict for PATIENCE_S.
+    """
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
         try:
             return change()
         except CommandError as error:
-            if error.guard is None or error.guard.safe is not None:
-                raise  # a refusal for another reason, or an unsafe change
-    raise RuntimeError("the guard gave no verdict: the computer is too busy")
+            unknown = error.guard is not None and error.guard.safe is None
+            if not unknown or time.monotonic() > deadline_s:
+                raise
+            time.sleep(PAUSE_S)
 
 
 def permitted(device: Client, **settings: Any) -> bool:
@@ -54,7 +61,7 @@ def permitted(device: Client, **settings: Any) -> bool:
     try:
         judged(lambda: device.set(**settings))
     except CommandError as error:
-        if error.guard is None:
-            raise
+        if error.guard is None or error.guard.safe is None:
+            raise  # a refusal for another reason, or no verdict
         return False
     return True

@@ -13,7 +13,7 @@ def greatest(device: Client, damping: float) -> float:
     """Return the maximum stiffness [N/m] of the wall, by bisection with the guard's verdicts."""
     low = 0.0
     high = 5000.0
-    device.damping(damping)
+    judged(lambda: device.damping(damping))
     while high - low > 10.0:
         middle = 0.5 * (low + high)
         wall = {"stiffness_n_per_m": middle, "position_m": 1e-3, "side": 1}

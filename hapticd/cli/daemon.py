@@ -226,10 +226,11 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
 
 def proxy_words(found: Status) -> str:
     """Return position of the proxy and its client; empty while no law moves one from 0."""
-    held = found.leases.get("environment") or found.leases.get("measuring")
-    by = f"{held.name} (actor {held.actor})" if held else "no client"
-    how = f"{1e3 * found.proxy_m:.4f} mm, by {by}" if found.proxy_m or found.proxy_held else ""
-    return f"held: {how}" if found.proxy_held else how
+    if not (found.proxy_m or found.proxy_held):
+        return ""
+    place = f"{'held: ' if found.proxy_held else ''}{1e3 * found.proxy_m:.4f} mm"
+    lease = found.leases.get("environment") or found.leases.get("measuring")
+    return f"{place}, by {lease.name} (actor {lease.actor})" if lease else place
 
 
 def _under(name: str, lines: list[str]) -> list[str]:

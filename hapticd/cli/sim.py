@@ -275,7 +275,7 @@ def remedies(
     hands.
 
     Ctrl-C is safe: the same command with the same --out continues with the remaining trials and
-    rows by energy.
+    energy rows.
     """
     terminal.need_engine()
     scenes_asked = tuple(common.scene_of(name) for name in names or remedy_studies.SCENES)

@@ -15,7 +15,8 @@ It renders no force and may be killed at any time.
                       to the servo
     tick_times        durations of ticks by stage, and late ticks by cause; the compensation of the
                       winding's resistance
-    publisher         messages to subscribers; the topic `state`
+    publisher         messages to subscribers; the topic `state`; events of states, faults and
+                      the proxy
 
 `command_server` does no socket work and reads no clock: bytes, messages, records and times
 go in, messages come out. `server` runs the only loop, in one thread. The rings of the mailbox have

@@ -408,17 +408,18 @@ class CommandServer:
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
 
     def _take_back(self, actor: int) -> None:
-        """Withdraw the posted commands of the client `actor` that have not begun. Force that acts
-        already stays.
+        """Withdraw the posted commands of the client `actor` that have not begun. Force that
+        already acts is kept.
         """
-        asked = self._outstanding.asked_by(actor)
-        for one in asked:
-            self._withdrawn(one)
-        kept = Command.DISABLE if self._view.state in (State.ENABLED, State.HOMING) else None
+        keeps_force = self._view.state in (State.ENABLED, State.HOMING)
         # one of each kind: the gateway's own commands have few places in the ring
-        for undo, mailbox in {TAKEN_BACK.get(one.kind): one.mailbox for one in asked}.items():
-            if undo not in (None, kept):
-                mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({}))
+        undone = [Command.DISABLE] if keeps_force else []
+        for one in self._outstanding.asked_by(actor):
+            self._withdrawn(one)
+            undo = TAKEN_BACK.get(one.kind)
+            if undo is not None and undo not in undone:
+                undone.append(undo)
+                one.mailbox.post(undo, GATEWAY_ACTOR, 0, values_of({}))
 
     def _withdraw_outdated(self) -> None:
         """Withdraw the commands that were judged by other terms, or whose parts another client has

@@ -63,7 +63,7 @@ NEWS = (
 DELAY_TICKS = 256  # for the delay in `state`; `delay_spread_us` covers as many
 LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # users wait for these changes
 EARLY_NS = 20 * NS_PER_MS  # between two blocks that are sent before they are complete
-CALM_NS = NS_PER_S
+CALM_NS = NS_PER_S  # without a held proxy, before the start of a law is noted
 
 
 def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> dict[str, Any]:
@@ -164,6 +164,7 @@ class Transitions:
             # every servo life begins disabled and without a fault
             self._last = (0, 0)
             self._changes = 0
+            self._law = 0
         if block.lost:
             self._journal.note("gap", seq=block.seq, lost=block.lost)
         states = block.records["state"]
@@ -193,10 +194,10 @@ class Transitions:
         self._changes = int(changes[-1])
 
     def _follow_proxy(self, records: Records) -> None:
-        """Note that a law begins to move the proxy, and why it ends.
+        """Note the start and the end of a law that moves the proxy.
 
-        For CALM_NS after the proxy has stayed none begins, so that a law at its limit does not fill
-        the journal.
+        No start is noted within CALM_NS after a held proxy, so that a law at its limit does not
+        fill the journal.
         """
         stays = records[(records["flags"] & Flag.PROXY_HELD) != 0]
         at = stays[0] if len(stays) else records[-1]
@@ -278,7 +279,7 @@ class Publisher:
         realtime = setup.servo.realtime
         self.times = TickTimes(realtime.grace_s, realtime.rate_hz)
         self._judged = False  # whether the room of a tick was judged
-        self._fault_due = False
+        self._fault_due = False  # requested, but not yet in the command ring
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -322,11 +323,8 @@ class Publisher:
         """Return whether a lamp has changed, so that `messages` should not wait for a
         whole batch.
         """
-        return (
-            self._view.alive
-            and now_ns - self._early_ns >= EARLY_NS
-            and self._lamps not in ((), self._shown())
-        )
+        may = bool(self._lamps) and now_ns - self._early_ns >= EARLY_NS
+        return may and self._view.alive and self._shown() != self._lamps
 
     def _shown(self) -> tuple[Any, ...]:
         values = map(self._view.record.get, LAMPS)
@@ -394,9 +392,8 @@ class Publisher:
         self._judged = True
         room = self.times.room
         if room.short:
-            self._journal.note(
-                "tick_too_long", percent=100.0 * room.tick_us / room.period_us, **asdict(room)
-            )
+            percent = 100.0 * room.tick_us / room.period_us
+            self._journal.note("tick_too_long", percent=percent, **asdict(room))
 
     def _follow_damping(self, block: RingBlock) -> None:
         """Warn if too little active damping is delivered, and request the fault if it is needed."""
@@ -417,9 +414,8 @@ class Publisher:
         found: list[Message] = []
         if "servo" in wanted:
             energies = self._ledger.take(block.records)
-            found += [
-                ("servo", payload) for payload in block.batches(energies, self._origin, self._batch)
-            ]
+            payloads = block.batches(energies, self._origin, self._batch)
+            found += [("servo", payload) for payload in payloads]
         else:
             self._ledger.defer(block.records)
         if "servo.raw" in wanted:
@@ -448,9 +444,8 @@ class Publisher:
 
     def without_guard(self, unix_ns: int) -> dict[str, Any]:
         """Return the topic `state` without the summary of the guard."""
-        return state_map(self._view, self._actors, self._leases, unix_ns) | {
-            "delivered_active_damping": self._delivered.estimate._asdict()
-        }
+        found = state_map(self._view, self._actors, self._leases, unix_ns)
+        return found | {"delivered_active_damping": self._delivered.estimate._asdict()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:

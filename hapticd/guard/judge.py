@@ -153,7 +153,7 @@ _DELAYS = 8  # with a cached cost
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
 _CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}
 _FIELDS = {  # of a request
-    "change": {*_TERMS, *_CHANGE, "now", "wall_dampings", "target", "ramp_s"},
+    "change": {*_TERMS, *_CHANGE, "now", "wall_virtual_dampings", "target", "ramp_s"},
     "look": {*_TERMS, "now", "target", "level_on"},
     "hand": {"ask", "n", "environment", "delay_periods"},
     "plane": {*_TERMS, "target", "level_on"},

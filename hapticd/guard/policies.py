@@ -101,7 +101,7 @@ def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPl
         levels=verdicts.levels,
         count_ns_per_m=setup.active_damping_count_ns_per_m,
         change=_with_level(request, target, setup.active_damping_limit_ns_per_m),
-        wall_dampings=request.get("wall_dampings", ()),
+        wall_virtual_dampings=request.get("wall_virtual_dampings", ()),
     )
 
 

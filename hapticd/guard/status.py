@@ -56,12 +56,23 @@ class WorkerLine(Protocol):
     life: int
 
     @property
-    def state(self) -> str: ...
-    def tend(self, now_ns: int) -> None: ...
-    def ask(self, request: dict[str, Any]) -> None: ...
-    def answers(self) -> list[dict[str, Any]]: ...
-    def give_up(self, trouble: str) -> None: ...
-    def close(self) -> None: ...
+    def state(self) -> str:
+        """The state of the worker's process, a word."""
+
+    def tend(self, now_ns: int) -> None:
+        """Start the process if it is due, and end one that has hung."""
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """Send a request."""
+
+    def answers(self) -> list[dict[str, Any]]:
+        """Return the answers that have arrived."""
+
+    def give_up(self, trouble: str) -> None:
+        """End the process because of `trouble`; another one follows."""
+
+    def close(self) -> None:
+        """End the process for good."""
 
 
 class LookKey(NamedTuple):
@@ -331,7 +342,7 @@ class Guard:
         question = {
             "ask": "change",
             "now": self.in_force.now().message(),
-            "wall_dampings": self.in_force.wall_dampings[1:],
+            "wall_virtual_dampings": self.in_force.wall_virtual_dampings[1:],
             "target": self.in_force.target().message(),
             "state": self._view.state_name,
             "gain": float(self._view.record["gain"]),

@@ -18,8 +18,9 @@ before.
 Environment in force (`EnvironmentInForce`). It is determined from the newest record and the last
 answer of the servo. `target` is the end of the ramps in progress, `now` the environment that acts
 in the newest record. Records do not contain the wall's damping during a ramp, nor its side once it
-is rounded to 0. For these the value counts that may still act and is furthest from the target. The
-other end of the wall's damping is in `wall_dampings`.
+is rounded to 0. For these `now` has the value that may still act and is furthest from the target.
+`wall_virtual_dampings` has both extreme values of the wall's virtual damping, that value first.
+
 Limitations: record and answers may belong to different revisions for a moment, and ramps that began
 before this gateway may move a wall from an unknown value (see `known`).
 """
@@ -316,7 +317,7 @@ class EnvironmentInForce:
         return rendered(self._view.targets)
 
     @property
-    def wall_dampings(self) -> list[float]:
+    def wall_virtual_dampings(self) -> list[float]:
         """Extreme values of the wall's damping [N s/m] that may act, the furthest from the target
         first.
         """
@@ -331,7 +332,7 @@ class EnvironmentInForce:
         return target.with_values(
             {path: record[column] for path, column in COLUMNS.items()}
             | {
-                "wall.virtual_damping_ns_per_m": self.wall_dampings[0],
+                "wall.virtual_damping_ns_per_m": self.wall_virtual_dampings[0],
                 "wall.side": record["wall_side"] or (self._side.value if self._moving else 0),
                 # NaN: the board did not report it
                 "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,

@@ -77,7 +77,7 @@ class TransitionPlanner:
     levels: tuple[float, ...]  # cached levels of damping
     count_ns_per_m: float  # of the damping DAC
     change: Mapping[str, Any]  # the requested fields
-    wall_dampings: Sequence[float] = ()  # of the wall in force, if it may have another than `now`
+    wall_virtual_dampings: Sequence[float] = ()  # N s/m; other values that the wall may have
 
     @cached_property
     def wanted(self) -> Environment:
@@ -150,7 +150,7 @@ class TransitionPlanner:
         apply up to the first stage that waits for the ramps.
         """
         pairs = zip(_numbers(self.now), _numbers(self.target), strict=True)
-        several = self.wall_dampings or sum(start != end for start, end in pairs) >= 2
+        several = self.wall_virtual_dampings or sum(start != end for start, end in pairs) >= 2
         if not (self.moving and several):
             return []
         together = takewhile(
@@ -165,10 +165,10 @@ class TransitionPlanner:
         return [environment for part in corners for environment in part]
 
     def _others(self, here: Environment) -> list[Environment]:
-        """Return `here` with the other dampings that its wall may have."""
+        """Return `here` with each other virtual damping that its wall may have."""
         return [
             replace(here, wall=replace(here.wall, virtual_damping_ns_per_m=value))
-            for value in self.wall_dampings
+            for value in self.wall_virtual_dampings
         ]
 
     def _later(self, start: Environment) -> list[Segment]:
@@ -387,8 +387,8 @@ def corner_mixtures(environments: Sequence[Environment]) -> list[Environment]:
     """Return the corners of all environments with each parameter anywhere between those of
     `environments`.
 
-    These are minimum and maximum of K, B, M, of stiffness and damping of the wall, if there is any,
-    and of the level.
+    Their axes are K, B, M, the wall's stiffness and virtual damping, and the level of active
+    damping.
     """
     places = [
         (*one.free, *_strength(one.wall), one.active_damping_ns_per_m) for one in environments

@@ -223,7 +223,9 @@ class Coupling:
     #: of the spring on the proxy, before the force limit; the opposite acts on the handle
     force_n: float = 0.0
     stiffness_n_per_m: float = 0.0  #: of the spring, gain included
-    held: bool = False  #: whether the proxy does not follow: late, no lease or no energy
+    held: bool = (
+        False  #: whether the proxy stays: its law is late, has no lease or has used its energy
+    )
     fresh: bool = True  #: whether a sample arrived in this tick; else the position is the last one
 
 

@@ -101,7 +101,10 @@ EVENTS: Final[dict[EventCode, tuple[str, ...]]] = {
     "proxy_taken": ("proxy", "{name} (actor {actor}) moves the proxy"),
     "proxy_held": ("proxy", PROXY + "its law is late or silent, or has used its energy"),
     "proxy_lease": ("proxy", PROXY + "its client no longer holds the lease of the environment"),
-    "proxy_stopped": ("proxy", "the proxy of {name} (actor {actor}) ended with the force"),
+    "proxy_stopped": (
+        "proxy",
+        "{name} (actor {actor}) no longer moves the proxy: the force is off",
+    ),
     "tick_too_long": (
         "warning",
         "a tick takes {tick_us:.0f} us of its {period_us:.0f} us ({percent:.0f} %, at most"

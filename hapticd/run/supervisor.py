@@ -144,9 +144,14 @@ class Process(Protocol):
 
     pid: int
 
-    def poll(self) -> int | None: ...
-    def terminate(self) -> None: ...
-    def kill(self) -> None: ...
+    def poll(self) -> int | None:
+        """Return the exit code, None while it runs."""
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+
+    def kill(self) -> None:
+        """End it at once."""
 
 
 Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descriptor to inherit

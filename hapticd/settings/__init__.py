@@ -6,7 +6,8 @@
     scenes/NAME.toml --------- load_scene -------------------> Scene         for simulations
 
 The unit of a field is part of its name and is defined nowhere else. A default is written once, in
-`hapticd.core.params`; the board and its values per count only in its device file.
+`hapticd.core.params` or `hapticd.model.params`. The board and its values per count are only in its
+device file.
 
 For scripts:
 

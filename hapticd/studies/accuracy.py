@@ -24,7 +24,8 @@ A push (`PositionComparison`): position, rms over the trial, in micrometres. The
 same trial in double precision with 32 sub-steps per sample. The resolution of a position is a
 count, so the total error includes the encoder's rounding (quantum / sqrt(12)).
 
-`effects` describes the measurement of time, and has the spectra of several trials.
+Times are measured as in `effects` (`timed`), and spectra of several trials are pooled as there
+(`pooled`).
 
 No kernel may be compiled while it is timed (every setting is therefore computed once before).
 Limitations: another program that uses the core's caches (the fastest of a few rounds counts).

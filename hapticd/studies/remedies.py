@@ -212,7 +212,8 @@ def stiffest(passive: Passive) -> tuple[float, float]:
         tried = np.linspace(low, high, VALUES)
         found = [largest_stiffness(passive, float(each)) for each in tried]
         best = int(np.nanargmax(found))
-        low, high = tried[[max(best - 1, 0), min(best + 1, VALUES - 1)]]
+        low = tried[max(best - 1, 0)]
+        high = tried[min(best + 1, VALUES - 1)]
     return float(tried[best]), found[best]
 
 
@@ -296,7 +297,8 @@ def noise_at_rest(scene: Scene, law: Law) -> float:
     if model.encoder_quantum_m is None:
         return nan
     slope, _ = derivatives(np.exp(1j * ANGLES), model.rate_hz, display(scene).filters)
-    return sqrt(float(np.mean(np.abs(law(slope)) ** 2)) / 12.0) * model.encoder_quantum_m
+    gain = sqrt(float(np.mean(np.abs(law(slope)) ** 2)))
+    return gain * model.encoder_quantum_m / sqrt(12.0)
 
 
 def judged(

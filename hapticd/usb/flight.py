@@ -62,8 +62,11 @@ from hapticd.usb.frames import PACKET_BYTES
 class Transfers(Protocol):
     """One OUT and one IN of a board. Errors are those of pyusb (`usb.core.USBError`)."""
 
-    def submit_out(self, data: "array[int]") -> None: ...
-    def submit_in(self) -> None: ...
+    def submit_out(self, data: "array[int]") -> None:
+        """Submit the OUT with `data`."""
+
+    def submit_in(self) -> None:
+        """Submit the IN."""
 
     def out_done(self, wait_ns: int) -> bool:
         """Return whether the OUT has arrived, after waiting for at most `wait_ns`."""
@@ -73,8 +76,11 @@ class Transfers(Protocol):
         `wait_ns`.
         """
 
-    def clear_halt(self, endpoint: int) -> None: ...
-    def cancel(self) -> None: ...
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of `endpoint`."""
+
+    def cancel(self) -> None:
+        """Cancel what is pending."""
 
 
 class End(NamedTuple):

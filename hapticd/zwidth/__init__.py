@@ -24,7 +24,8 @@ Importing the package imports nothing else; a script imports the modules that it
 
 The other modules serve these: `watch` (ends a trial early), `aligned`, `timestamps` and `matching`
 (records of files), `acquisition` and `surrogate` (the choice of the next trial of a search),
-`store` (stored results), `executors` (threads, processes, clusters). `sources` also has the
-properties of a scene for procedures, and the stepped sine, an independent measurement of an
-impedance. Below them is `engine`, which simulates, above them `report`, which draws.
+`store` (stored results), `executors` (threads, processes, clusters). `sources` also has
+`Display`, the composed device of a scene with its predictions, and the stepped sine, an independent
+measurement of an impedance. Below them is `engine`, which simulates. Above them is `report`, which
+draws.
 """

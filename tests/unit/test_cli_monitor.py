@@ -133,7 +133,7 @@ def test_screen_without_a_proxy_has_no_line_for_it() -> None:
 def test_proxy_that_stays_after_its_lease_is_nobodys() -> None:
     shown = full(flags=Flag.PROXY_HELD)
     del shown.state["leases"]
-    assert "proxy     held: 0.0000 mm, by no client" in drawn(shown)
+    assert "proxy     held: 0.0000 mm\n" in drawn(shown)
 
 
 def test_screen_of_a_real_board_says_so() -> None:

@@ -15,6 +15,7 @@ def connect(monkeypatch):
     monkeypatch.delitem(sys.modules, "connect", raising=False)
     import connect
 
+    monkeypatch.setattr(connect, "PAUSE_S", 0.0)
     return connect
 
 
@@ -49,7 +50,7 @@ def test_another_refusal_is_no_verdict(connect):
         connect.permitted(Device(None), K=100.0)
 
 
-def test_a_guard_without_a_verdict_is_no_answer(connect):
-    device = Device(*[verdict(None)] * connect.ATTEMPTS)
-    with pytest.raises(RuntimeError, match="no verdict"):
-        connect.permitted(device, K=100.0)
+def test_a_guard_without_a_verdict_is_no_answer(connect, monkeypatch):
+    monkeypatch.setattr(connect, "PATIENCE_S", 0.0)
+    with pytest.raises(CommandError):
+        connect.permitted(Device(*[verdict(None)] * 3), K=100.0)

@@ -307,17 +307,15 @@ def test_client_that_leaves_does_not_fill_the_ring_with_what_undoes_its_commands
     rig: CommandServerRig,
 ) -> None:
     rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 8)
-    rig.ask(cmd="enable")
     assert rig.view.mailbox
     rig.servo.deaf = True
-    rig.send(*[packed(cmd="perturb", action="start") for _ in range(56)])
-    rig.send(packed(cmd="home"))
+    rig.send(packed(cmd="enable"))
+    rig.send(*[packed(cmd="perturb", action="start") for _ in range(55)])
     assert rig.view.mailbox.backlog == 56
     rig.server.leave(b"a")
-    assert rig.view.mailbox.backlog == 57
-    posted = [rig.servo.mailbox.take() for _ in range(57)]
+    posted = [rig.servo.mailbox.take() for _ in range(rig.view.mailbox.backlog)]
     kinds = [one and one[1] for one in posted]
-    assert kinds == [Command.WITHDRAWN] * 56 + [Command.PERTURB_STOP]
+    assert kinds == [Command.WITHDRAWN] * 56 + [Command.DISABLE, Command.PERTURB_STOP]
 
 
 @pytest.mark.parametrize("request_", [{"cmd": "disable"}, {"cmd": "set", "K": 0, "B": 0, "M": 0}])

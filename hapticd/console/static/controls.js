@@ -77,8 +77,10 @@ export class Controls {
       ? `board reports ${now.damping_count} counts = ${plain(effect)} N\u202fs/m`
       : "this board does not report its damping");
     const { proxy_m, proxy_held, lease_control } = now;
-    const by = lease_control ? `${this.told.actors?.[lease_control] ?? "client"} (${lease_control})` : "no client";
-    put("proxy", proxy_m || proxy_held ? `proxy ${proxy_held ? "held" : "moves"}: ${plain(1e3 * proxy_m)} mm, by ${by}` : "");
+    const name = this.told.actors?.[lease_control] ?? "client";
+    const by = lease_control ? `, by ${name} (${lease_control})` : "";
+    const place = `proxy ${proxy_held ? "held" : "moves"}: ${plain(1e3 * proxy_m)} mm`;
+    put("proxy", proxy_m || proxy_held ? place + by : "");
   }
 
   fault(told) {

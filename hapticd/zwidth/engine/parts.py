@@ -83,7 +83,7 @@ class LawPart:
 
     @classmethod
     def foaw(cls, bound_m: float, rate_hz: float) -> Self:
-        """Return FOAW for noise of at most that magnitude, an encoder's count."""
+        """Return FOAW for noise of at most `bound_m` [m], such as one count of the encoder."""
         return cls("foaw", (bound_m, rate_hz), PERIODS)
 
     @classmethod
@@ -94,8 +94,8 @@ class LawPart:
 
     @classmethod
     def observer(cls, window: float = inf) -> Self:
-        """Return PO/PC for an environment that has absorbed no energy, with windows of so many
-        ticks.
+        """Return PO/PC for an environment that has absorbed no energy, with windows of
+        `window` ticks.
         """
         return cls("observer", (window,), 1, (0.0, 0.0))
 
