@@ -2,7 +2,8 @@
 
 A mutant of tests/mutants is one defect that was found and corrected, or that tests once missed;
 support.mutants documents the format. Every test that a mutant names first passes on an untouched
-copy of the tree. Then each mutant is inserted into its own copy, its tests run, and the verdict is
+copy of the tree. Then each mutant is inserted into a copy, its tests run, and it is taken out. The
+verdict is
 
     killed           a named test fails
     survived         all of them pass: no test guards the claim any more
@@ -20,6 +21,7 @@ files outside the tree cannot be named.
 """
 
 import os
+import queue
 import shutil
 import subprocess
 import sys
@@ -66,16 +68,21 @@ def prepared(folder: Path) -> Path:
 def pytest(tree: Path, tests: Iterable[str]) -> subprocess.CompletedProcess[str]:
     """`tests` in `tree`, up to the first that fails."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.run(
-        command,
-        cwd=tree,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
+    with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as examples:
+        environment = os.environ | {
+            "PYTHONPATH": str(tree),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "HYPOTHESIS_STORAGE_DIRECTORY": examples,  # no counterexample of another mutant
+        }
+        return subprocess.run(
+            command,
+            cwd=tree,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
 
 
 def paths(mutants: Iterable[Mutant]) -> list[str]:
@@ -84,17 +91,18 @@ def paths(mutants: Iterable[Mutant]) -> list[str]:
     return [f"{path_of_test(file).relative_to(ROOT)}::{test}" for file, test in named]
 
 
-def tried(mutant: Mutant, original: Path) -> Outcome:
-    """Put the mutant into a copy, run the tests that must fail."""
+def tried(mutant: Mutant, tree: Path) -> Outcome:
+    """Put the mutant into the copy `tree`, run the tests that must fail, and take it out again."""
     begin = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
-        tree = Path(shutil.copytree(original, Path(folder) / "tree", symlinks=True))
-        file = tree / mutant.file
-        try:
-            file.write_text(mutated(mutant, file.read_text()))
-        except DoesNotApply as reason:
-            return Outcome("does not apply", time.monotonic() - begin, str(reason))
+    file = tree / mutant.file
+    text = file.read_text()
+    try:
+        file.write_text(mutated(mutant, text))
         ran = pytest(tree, paths([mutant]))
+    except DoesNotApply as reason:
+        return Outcome("does not apply", time.monotonic() - begin, str(reason))
+    finally:
+        file.write_text(text)
     verdict = {PASSED: "survived", FAILED: "killed"}.get(ran.returncode, "does not run")
     text = "" if verdict == "killed" else ran.stdout[-2000:] + ran.stderr[-1000:]
     return Outcome(verdict, time.monotonic() - begin, text)
@@ -125,9 +133,21 @@ def main(words: Sequence[str]) -> int:
         raise SystemExit(f"no mutant of {FOLDER} has one of {', '.join(words)} in its name")
     with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
         original = prepared(Path(folder))
+        trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
+        for number in range(WORKERS):
+            copy = Path(folder) / f"tree-{number}"
+            trees.put(Path(shutil.copytree(original, copy, symlinks=True)))
+
+        def tried_in_one(mutant: Mutant) -> Outcome:
+            tree = trees.get()
+            try:
+                return tried(mutant, tree)
+            finally:
+                trees.put(tree)
+
         with ThreadPoolExecutor(WORKERS) as pool:
             untouched = pool.submit(untouched_fails, chosen, original)
-            outcomes = pool.map(lambda one: tried(one, original), chosen)
+            outcomes = pool.map(tried_in_one, chosen)
             killed = sum(show(*pair) for pair in zip(chosen, outcomes, strict=True))
         if text := untouched.result():
             print(f"without any mutant a named test does not pass:\n{text}")

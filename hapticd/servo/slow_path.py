@@ -201,10 +201,8 @@ class SlowPath:
         coefficients = settled.coefficients
         plan = watchdog_trial.followed(settled.plan, settled.out_flags)
         before = plan
-        # periods since the last tick, if every tick takes the slow path; a reading of the winding
-        # may be late because its own slot was lost
-        looks = settled.wake_tick == plan.winding.due_tick
-        elapsed = 1 if looks else max(1, tick - settled.wake_tick + 1)
+        # periods since the last tick, if every tick takes the slow path
+        elapsed = max(1, tick - settled.wake_tick + 1)
         usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
         flags = 0
         if usable:

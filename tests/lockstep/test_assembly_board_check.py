@@ -13,6 +13,7 @@ from support.models import COUNT_M, COUNT_N, device_params, servo_params
 from hapticd.core.params import HomeParams, RealtimeParams, ScaleParams, UsbParams
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.model.params import InjectionParams
 from hapticd.protocol.view import as_records
 from hapticd.run.lockstep import LockStep
@@ -208,16 +209,25 @@ def test_a_board_that_only_started_anew_may_make_force_again():
         assert stack.do(Command.ENABLE).result is Result.APPLIED
 
 
-def test_another_board_at_the_plug_is_looked_at_again():
+def test_another_board_at_the_plug_is_looked_at_again(monkeypatch):
     """The board that comes back is another one: it is barred, though the first was not."""
     away = InjectionParams("unplug", tick=50, value=0.01)
+    reports = []
+    write_report = ServoMailbox.report
+
+    def noted(mailbox, content):
+        reports.append(content)
+        write_report(mailbox, content)
+
+    monkeypatch.setattr(ServoMailbox, "report", noted)
     with LockStep(servo_params(), board_params(injections=(away,))) as stack:
         stack.run(30)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         flashed(stack, 16, ord("X"))  # of its serial number
-        ticks = as_records(stack.run(250))
-        assert not ticks["host"][40] & DEVICE_DIFFERS
-        assert ticks["host"][200] & DEVICE_DIFFERS
+        assert not as_records(stack.run(1))["host"][0] & DEVICE_DIFFERS
+        assert as_records(stack.run(250))["host"][-1] & DEVICE_DIFFERS
+        again = next(one for one in reports if "reconnected" in one)
+        assert again["differences"]  # already at its first hello
         assert stack.do(Command.RESET).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
         assert report(stack)["differences"][0].startswith("serial: the board says 'XIM0001'")
