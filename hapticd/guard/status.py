@@ -57,7 +57,7 @@ class WorkerLine(Protocol):
 
     @property
     def state(self) -> str:
-        """The state of the worker's process, a word."""
+        """State of the worker's process, such as `up` or `starting`."""
 
     def tend(self, now_ns: int) -> None:
         """Start the process if it is due, and end one that has hung."""

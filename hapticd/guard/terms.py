@@ -318,8 +318,8 @@ class EnvironmentInForce:
 
     @property
     def wall_virtual_dampings(self) -> list[float]:
-        """Extreme values of the wall's damping [N s/m] that may act, the furthest from the target
-        first.
+        """Extreme values of the wall's virtual damping [N s/m] that may act, the furthest from the
+        target first.
         """
         target = self.target().wall.virtual_damping_ns_per_m
         return sorted(self._wall_damping, key=lambda end: -abs(end - target))

@@ -223,9 +223,8 @@ class Coupling:
     #: of the spring on the proxy, before the force limit; the opposite acts on the handle
     force_n: float = 0.0
     stiffness_n_per_m: float = 0.0  #: of the spring, gain included
-    held: bool = (
-        False  #: whether the proxy stays: its law is late, has no lease or has used its energy
-    )
+    #: whether the proxy stays: its law is late, has no lease or has used its energy
+    held: bool = False
     fresh: bool = True  #: whether a sample arrived in this tick; else the position is the last one
 
 
@@ -442,7 +441,7 @@ class Status(InForce):
     perturbing: int = 0
     position_m: float = 0.0
     proxy_m: float = 0.0
-    proxy_held: bool = False  #: whether the proxy does not follow: late, no lease or no energy
+    proxy_held: bool = False  #: as `held` of `Coupling`
     force_n: float = 0.0
     #: delay from sample to force, and age of a frame when it was read, us: 99th percentile of the
     #: last 256 ticks with a frame

@@ -93,11 +93,12 @@ TANK = {"tank": LEVELS[:1], "tank, best level": LEVELS}
 LEVANT = {"Levant": ACCELERATIONS[:1], "Levant, best C": ACCELERATIONS}
 AS_IT_IS = REMEDIES[0].name
 DAMPED = "1.74 N s/m"
+PAIRS = {f"{name}, {DAMPED}": name for name in (FOAW, "PO/PC", "tank")}  # with active damping
 # each judged remedy, and the remedy of the table by theory that it extends
 BASES = {
     **{name: name for name in (AS_IT_IS, "best corner", DAMPED)},
     **dict.fromkeys((FOAW, *LEVANT, *OBSERVERS, *TANK), AS_IT_IS),
-    **{f"{name}, {DAMPED}": DAMPED for name in (FOAW, "PO/PC", "tank")},
+    **dict.fromkeys(PAIRS, DAMPED),
 }
 ASKED = 2.0  # of `EnergyRow.given_out_j`, over the first row's K
 Parts = tuple[LawPart, ...]
@@ -265,7 +266,7 @@ def judged(name: str, scene: Scene, first: Row, quick: bool) -> EnergyRow:
     """Return the row of a remedy whose scene is `scene`."""
     found = [
         (number, worsened(tried(scene, parts, first, quick), quick))
-        for number, parts in laws(name.removesuffix(f", {DAMPED}"), scene, first)
+        for number, parts in laws(PAIRS.get(name, name), scene, first)
     ]
     number, best = max(found, key=lambda one: one[1].limit_n_per_m)
     b = float(best.virtual_damping_ns_per_m[best.best])
